@@ -1,0 +1,97 @@
+"""What an array means here: parameters, their trailing channels, and work done in chunks.
+
+Every formula of the library is written for *scalar* parameters and directions of any leading shape.
+`per_channel` makes such a formula serve models whose parameters carry one trailing axis of channels
+(RGB, wavelengths); `in_chunks` bounds the memory of formulas that need many nodes a direction.
+Batches of models are not made here: they are `jax.vmap` over the model's leaves.
+"""
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Parameter = Float[Array, "*channels"]  # () or (C,): one value, or one for each channel
+
+
+def parameter(rank: int = 0) -> Any:
+    """A field of a model whose own shape has `rank` axes; one more, at the end, is the channels."""
+    return eqx.field(converter=jnp.asarray, metadata={"rank": rank})
+
+
+def per_channel(method: Callable) -> Callable:
+    """Let a method written for one channel serve a model of C channels: (...) becomes (..., C).
+
+    Any parameter of the model, or of a model inside it, may have a trailing axis of length C; the
+    others are shared by all channels. A model without channels passes straight through.
+    Raises ValueError where two parameters have different numbers of channels.
+    """
+
+    @wraps(method)
+    def mapped(self, *args):
+        leaves, treedef = jax.tree.flatten(self)
+        axes = _channel_axes(self)
+        if all(axis is None for axis in axes):
+            return method(self, *args)
+
+        def one_channel(leaves, *args):
+            return method(treedef.unflatten(leaves), *args)
+
+        in_axes = (axes, *(None for _ in args))
+        return jax.vmap(one_channel, in_axes=in_axes, out_axes=-1)(leaves, *args)
+
+    return mapped
+
+
+def channel_count(model: eqx.Module) -> int | None:
+    """C of a model with channels, None of a model without."""
+    leaves = jax.tree.leaves(model)
+    counts = {leaf.shape[-1] for leaf, axis in zip(leaves, _channel_axes(model), strict=True) if axis == -1}
+    return counts.pop() if counts else None
+
+
+def _channel_axes(model: eqx.Module) -> list[int | None]:
+    """For each leaf of the model: -1 where it has an axis of channels, None where it has not."""
+    paths, _ = jax.tree_util.tree_flatten_with_path(model)
+    axes = [_channel_axis(leaf, _rank(model, path), jax.tree_util.keystr(path)) for path, leaf in paths]
+    counts = {leaf.shape[-1] for (_, leaf), axis in zip(paths, axes, strict=True) if axis == -1}
+    if len(counts) > 1:
+        raise ValueError(
+            f"the parameters of {type(model).__name__} have different numbers of channels: {sorted(counts)}; "
+            "give each parameter no channels or the same number of them"
+        )
+    return axes
+
+
+def _channel_axis(leaf: Array, rank: int, name: str) -> int | None:
+    if jnp.ndim(leaf) > rank + 1:
+        raise ValueError(
+            f"parameter {name} has shape {jnp.shape(leaf)}: at most {rank + 1} axes were expected (the last "
+            "one for channels); to evaluate a batch of models, jax.vmap over the model"
+        )
+    return -1 if jnp.ndim(leaf) == rank + 1 else None
+
+
+def _rank(model: Any, path: tuple) -> int:
+    """The rank that the field at the end of `path` was declared with by `parameter`; 0 if it was not."""
+    rank = 0
+    for key in path:
+        if isinstance(key, jax.tree_util.GetAttrKey):
+            rank = type(model).__dataclass_fields__[key.name].metadata.get("rank", 0)
+            model = getattr(model, key.name)
+        else:
+            model = model[key.idx if isinstance(key, jax.tree_util.SequenceKey) else key.key]
+    return rank
+
+
+def in_chunks(function: Callable, *arrays: Array, size: int = 8192) -> Array:
+    """`function(*arrays)`, elementwise over arrays of one shape, never more than `size` elements at once."""
+    shape = jnp.broadcast_shapes(*(jnp.shape(a) for a in arrays))
+    flat = [jnp.broadcast_to(a, shape).reshape(-1) for a in arrays]
+    if flat[0].size <= size:
+        return function(*(jnp.broadcast_to(a, shape) for a in arrays))
+    return jax.lax.map(lambda xs: function(*xs), tuple(flat), batch_size=size).reshape(shape)

@@ -1,0 +1,48 @@
+"""The reflectance of Bagher, Soler & Holzschuch 2012."""
+
+from jaxtyping import Array, Float
+
+from jaxbrdf.arrays import Parameter, parameter, per_channel
+from jaxbrdf.brdf.base import AbstractBRDF
+from jaxbrdf.brdf.cook_torrance import CookTorrance
+from jaxbrdf.directions import Direction
+from jaxbrdf.fresnel import LinearSchlick
+from jaxbrdf.ndf.base import AbstractNDF
+from jaxbrdf.ndf.shifted_gamma import ShiftedGamma
+from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
+
+
+class ShiftedGammaBRDF(AbstractBRDF):
+    r"""Cook–Torrance with the shifted gamma distribution and the linear Schlick term: 6 numbers a channel.
+
+        f(wi, wo) = ρ_d / π + ρ_s / π · F(θ_d; F_0, F_1) D(h; α, p) G(wi, wo) / (cos θ_i cos θ_o)
+
+    Bagher et al. 2012, eq. 1, 8 and 11. The masking is the exact one of Smith by default; give
+    `shadowing=ShiftedGammaShadowing(lam, c, k)` for the paper's approximation.
+    """
+
+    rho_d: Parameter = parameter()
+    rho_s: Parameter = parameter()
+    alpha: Parameter = parameter()
+    p: Parameter = parameter()
+    f0: Parameter = parameter()
+    f1: Parameter = parameter()
+    shadowing: AbstractShadowing = Uncorrelated()
+
+    @per_channel
+    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+        return self.as_cook_torrance(self.ndf)(wi, wo)
+
+    @property
+    def ndf(self) -> ShiftedGamma:
+        """The distribution of facets, ShiftedGamma(alpha, p)."""
+        return ShiftedGamma(self.alpha, self.p)
+
+    @property
+    def fresnel(self) -> LinearSchlick:
+        """How much a facet reflects, LinearSchlick(f0, f1)."""
+        return LinearSchlick(self.f0, self.f1)
+
+    def as_cook_torrance(self, ndf: AbstractNDF) -> CookTorrance:
+        """The same reflectance over another distribution, say `tabulate_projected_area(self.ndf)`."""
+        return CookTorrance(self.rho_d, self.rho_s, ndf, self.fresnel, self.shadowing)

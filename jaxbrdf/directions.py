@@ -1,0 +1,87 @@
+r"""Unit vectors in the shading frame, spherical angles, half and difference angles both ways.
+
+A direction is an array (..., 3) of unit vectors, z along the macro-normal n; leading axes broadcast.
+Angles are in radians, φ in (−π, π]. At the poles, where φ is undefined, φ is 0 and its gradient 0.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbrdf.special import safe_arctan2, safe_hypot, safe_normalize
+
+Direction = Float[Array, "*batch 3"]
+Angle = Float[Array, "*batch"]
+
+
+def dot(a: Direction, b: Direction) -> Angle:
+    """a · b over the last axis."""
+    return jnp.sum(a * b, axis=-1)
+
+
+def cos_theta(w: Direction) -> Angle:
+    """w · n, n being the z axis."""
+    return w[..., 2]
+
+
+def spherical(theta, phi) -> Direction:
+    """The direction (sin θ cos φ, sin θ sin φ, cos θ), shape (..., 3); theta and phi broadcast."""
+    theta, phi = jnp.broadcast_arrays(theta, phi)
+    sin_theta = jnp.sin(theta)
+    return jnp.stack([sin_theta * jnp.cos(phi), sin_theta * jnp.sin(phi), jnp.cos(theta)], axis=-1)
+
+
+def to_spherical(w: Direction) -> tuple[Angle, Angle]:
+    """(θ, φ) of a direction, θ in [0, π]; accurate and with finite gradients at the poles."""
+    return jnp.arctan2(safe_hypot(w[..., 0], w[..., 1]), w[..., 2]), safe_arctan2(w[..., 1], w[..., 0])
+
+
+def half_vector(wi: Direction, wo: Direction) -> Direction:
+    """h = (wi + wo) / ‖wi + wo‖; the zero vector where wi = −wo."""
+    return safe_normalize(wi + wo)
+
+
+def reflect(w: Direction, m: Direction) -> Direction:
+    """2 (w · m) m − w: the mirror image of w about the facet normal m."""
+    return 2 * dot(w, m)[..., None] * m - w
+
+
+def to_frame(w: Direction, s: Direction, t: Direction, n: Direction) -> Direction:
+    """Components of a world vector w in the orthonormal frame of tangent s, bitangent t and normal n."""
+    return jnp.stack([dot(w, s), dot(w, t), dot(w, n)], axis=-1)
+
+
+def from_frame(w: Direction, s: Direction, t: Direction, n: Direction) -> Direction:
+    """The world vector with components w in the orthonormal frame (s, t, n): undoes `to_frame`."""
+    return w[..., 0:1] * s + w[..., 1:2] * t + w[..., 2:3] * n
+
+
+def to_half_difference(wi: Direction, wo: Direction) -> tuple[Angle, Angle, Angle, Angle]:
+    r"""Rusinkiewicz's angles (θ_h, φ_h, θ_d, φ_d) of a pair of directions.
+
+        h = (wi + wo) / ‖wi + wo‖,   d = R_y(−θ_h) R_z(−φ_h) wi
+
+    θ_h, φ_h are the spherical angles of h, θ_d, φ_d those of d; θ_d is *half* the angle between wi
+    and wo. φ_d lies in (−π, π] and is not folded. Rusinkiewicz 1998, "A new change of variables".
+    """
+    h = half_vector(wi, wo)
+    theta_h, phi_h = to_spherical(h)
+    d = _rotate_y(_rotate_z(wi, -phi_h), -theta_h)
+    theta_d, phi_d = to_spherical(d)
+    return theta_h, phi_h, theta_d, phi_d
+
+
+def from_half_difference(theta_h, phi_h, theta_d, phi_d) -> tuple[Direction, Direction]:
+    """(wi, wo) of Rusinkiewicz's angles: undoes `to_half_difference`; the four angles broadcast."""
+    theta_h, phi_h, theta_d, phi_d = jnp.broadcast_arrays(theta_h, phi_h, theta_d, phi_d)
+    wi = _rotate_z(_rotate_y(spherical(theta_d, phi_d), theta_h), phi_h)
+    return wi, reflect(wi, spherical(theta_h, phi_h))
+
+
+def _rotate_y(w: Direction, angle: Angle) -> Direction:
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)
+
+
+def _rotate_z(w: Direction, angle: Angle) -> Direction:
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)
