@@ -1,3 +1,4 @@
+from . import metrics
 from .brdf.base import AbstractBRDF, Sum
 from .brdf.cook_torrance import CookTorrance
 from .brdf.lambertian import Lambertian
@@ -56,6 +57,7 @@ __all__ = [
     "largest_albedo",
     "log_upper_gamma",
     "merl_grid",
+    "metrics",
     "normalized_l2",
     "reflect",
     "smith_G1",

@@ -6,21 +6,42 @@ Every formula of the library is written for *scalar* parameters and directions o
 Batches of models are not made here: they are `jax.vmap` over the model's leaves.
 """
 
+import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import wraps
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-Parameter = Float[Array, "*channels"]  # () or (C,): one value, or one for each channel
+Parameter = Float[Array, "..."]  # () or (C,): one value, or one for each channel
 
 
-def parameter(rank: int = 0) -> Any:
-    """A field of a model whose own shape has `rank` axes; one more, at the end, is the channels."""
-    return eqx.field(converter=jnp.asarray, metadata={"rank": rank})
+@dataclass(frozen=True)
+class Range:
+    """Where a fit looks for a parameter: [low, high], evenly or evenly in the logarithm."""
+
+    low: float
+    high: float
+    log: bool = False
+
+
+def parameter(rank: int = 0, fitted: Range | None = None) -> Any:
+    """A field of a model whose own shape has `rank` axes; one more, at the end, is the channels.
+
+    `fitted` is the range in which a fit may look for the parameter; evaluation is not bound to it.
+    """
+    return eqx.field(converter=jnp.asarray, metadata={"rank": rank, "fitted": fitted})
+
+
+def fitted_ranges(model_class: type[eqx.Module]) -> dict[str, Range]:
+    """The parameters of a class that a fit may change, by name, with their ranges."""
+    fields = dataclasses.fields(model_class)
+    return {f.name: f.metadata["fitted"] for f in fields if f.metadata.get("fitted")}
 
 
 def per_channel(method: Callable) -> Callable:
@@ -67,7 +88,7 @@ def _channel_axes(model: eqx.Module) -> list[int | None]:
     return axes
 
 
-def _channel_axis(leaf: Array, rank: int, name: str) -> int | None:
+def _channel_axis(leaf: Array | np.ndarray, rank: int, name: str) -> int | None:
     if jnp.ndim(leaf) > rank + 1:
         raise ValueError(
             f"parameter {name} has shape {jnp.shape(leaf)}: at most {rank + 1} axes were expected (the last "
@@ -89,9 +110,9 @@ def _rank(model: Any, path: tuple) -> int:
 
 
 def in_chunks(function: Callable, *arrays: Array, size: int = 8192) -> Array:
-    """`function(*arrays)`, elementwise over arrays of one shape, never more than `size` elements at once."""
+    """`function`, of scalars, at each element of arrays of one shape, at most `size` elements at once."""
     shape = jnp.broadcast_shapes(*(jnp.shape(a) for a in arrays))
     flat = [jnp.broadcast_to(a, shape).reshape(-1) for a in arrays]
     if flat[0].size <= size:
-        return function(*(jnp.broadcast_to(a, shape) for a in arrays))
+        return jax.vmap(function)(*flat).reshape(shape)
     return jax.lax.map(lambda xs: function(*xs), tuple(flat), batch_size=size).reshape(shape)

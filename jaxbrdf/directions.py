@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from jaxbrdf.special import safe_arctan2, safe_hypot, safe_normalize
 
-Direction = Float[Array, "*batch 3"]
-Angle = Float[Array, "*batch"]
+Direction = Float[Array, "... 3"]
+Angle = Float[Array, "..."]
 
 
 def dot(a: Direction, b: Direction) -> Angle:

@@ -1,5 +1,6 @@
 """What a fit gives back: the model, and per fit how it went. Made by `fitting`, stored by `data_loaders`."""
 
+import dataclasses
 from enum import IntEnum
 
 import equinox as eqx
@@ -40,8 +41,8 @@ class FitResult(eqx.Module):
     `status`      a FitStatus code for each fit
     `cost`        ½ Σ r² of the weighted residuals that were minimised last
     `steps`       Levenberg–Marquardt steps taken
-    `covariance`  (..., n, n) of the n numbers named in `parameters`, in that order; NaN where it does not exist
-    `residuals`   (..., N) model minus measurement in 1/sr over the two slices (θ_h, then θ_d); NaN where unused
+    `covariance`  (..., n, n) of the n numbers named in `parameters`, in that order; NaN where it has none
+    `residuals`   (..., N) model minus measurement in 1/sr over the slices (θ_h, then θ_d); NaN where unused
     `recipe`      what was minimised;  `names`  the materials, one for each row of a batch
 
     A fit that did not succeed is data, not an exception: look at `status`.
@@ -61,7 +62,7 @@ class FitResult(eqx.Module):
         """The fit of one material of a batch."""
         name = self.names[index : index + 1] if index >= 0 else (self.names[index],)
         leaves = jax.tree.map(lambda leaf: leaf[index], self)
-        return eqx.tree_at(lambda r: r.names, leaves, name)
+        return dataclasses.replace(leaves, names=name)
 
     @property
     def success(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How much a facet reflects: functions of cos θ_d, θ_d being the angle between the light and the facet normal."""
+"""How much a facet reflects: functions of cos θ_d, θ_d being the angle between light and facet normal."""
 
 from abc import abstractmethod
 

@@ -21,6 +21,13 @@ def hemisphere(n_theta: int, n_phi: int) -> tuple[Array, Array]:
     return w.reshape(-1, 3), weight.reshape(-1)
 
 
+def pair_cosines(theta_h, theta_d, phi_d) -> tuple[Array, Array]:
+    """(cos θ_i, cos θ_o) of the pair with these half and difference angles; they broadcast."""
+    along = jnp.cos(theta_h) * jnp.cos(theta_d)
+    across = jnp.sin(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
+    return along - across, along + across
+
+
 def _axis():
     return eqx.field(metadata={"rank": 1})
 
@@ -50,10 +57,9 @@ class HalfDifferenceGrid(eqx.Module):
 
     def cosines(self) -> tuple[Array, Array]:
         """(cos θ_i, cos θ_o) at the cells' centres, each (H, D, P); without making the directions."""
-        cos_h, sin_h = jnp.cos(self.theta_h)[:, None, None], jnp.sin(self.theta_h)[:, None, None]
-        cos_d, sin_d = jnp.cos(self.theta_d)[None, :, None], jnp.sin(self.theta_d)[None, :, None]
-        along, across = cos_h * cos_d, sin_h * sin_d * jnp.cos(self.phi_d)[None, None, :]
-        return along - across, along + across
+        return pair_cosines(
+            self.theta_h[:, None, None], self.theta_d[None, :, None], self.phi_d[None, None, :]
+        )
 
     def measure(self) -> Array:
         r"""dω_i dω_o of each cell, (H, D, P): the grid covers all pairs of directions.

@@ -60,6 +60,7 @@ class ShiftedGammaShadowing(AbstractShadowing):
     def G1(self, cos_w: Float[Array, "..."]) -> Float[Array, "..."]:
         """Masking towards a direction at polar cosine cos_w."""
         beyond = safe_arccos(cos_w) - self.theta_0
-        masked = beyond > 0
-        growth = jnp.exp(jnp.log(self.c) + self.k * jnp.log(jnp.where(masked, beyond, 1)))
+        masked = (beyond > 0) & (cos_w > 0)
+        exponent = jnp.log(self.c) + self.k * jnp.log(jnp.where(masked, beyond, 1))
+        growth = jnp.exp(jnp.where(masked, exponent, 0))
         return jnp.where(cos_w > 0, jnp.where(masked, 1 - self.lam * jnp.expm1(growth), 1), 0)

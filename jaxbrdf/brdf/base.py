@@ -1,6 +1,8 @@
 """What a reflectance is, and sums of reflectances."""
 
 from abc import abstractmethod
+from functools import reduce
+from operator import add
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,7 +33,7 @@ class Sum(AbstractBRDF):
 
     @per_channel
     def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
-        return sum(term(wi, wo) for term in self.terms)
+        return reduce(add, (term(wi, wo) for term in self.terms))
 
 
 def both_above(wi: Direction, wo: Direction) -> Array:

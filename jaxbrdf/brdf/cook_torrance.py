@@ -21,8 +21,8 @@ class CookTorrance(AbstractBRDF):
 
     rho_d: Parameter = parameter()
     rho_s: Parameter = parameter()
-    ndf: AbstractNDF
-    fresnel: AbstractFresnel
+    ndf: AbstractNDF  # type: ignore[misc]  # `parameter()` is no default: all four are required
+    fresnel: AbstractFresnel  # type: ignore[misc]
     shadowing: AbstractShadowing = Uncorrelated()
 
     @per_channel

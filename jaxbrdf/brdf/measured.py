@@ -1,14 +1,16 @@
 r"""Measured isotropic reflectance: a table over half and difference angles, and its two slices."""
 
+from itertools import product
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import parameter, per_channel
+from jaxbrdf.arrays import per_channel
 from jaxbrdf.brdf.base import AbstractBRDF, both_above
 from jaxbrdf.directions import Direction, to_half_difference
-from jaxbrdf.quadrature import HalfDifferenceGrid
+from jaxbrdf.quadrature import HalfDifferenceGrid, pair_cosines
 from jaxbrdf.special import safe_divide
 
 
@@ -49,18 +51,20 @@ class MeasuredBRDF(AbstractBRDF):
     @property
     def above_horizon(self) -> np.ndarray:
         """(H, D, P): whether both directions at a cell's centre are above the horizon."""
-        cos_i, cos_o = self.grid.cosines()
-        return (cos_i > 0) & (cos_o > 0)
+        grid = self.grid
+        return _above(grid.theta_h[:, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])
 
     def slices(self) -> Slices:
         """The backscattering and the mirror slice; of a mapped file only their pages are read."""
-        above = self.above_horizon
+        theta_h, theta_d, phi_d = self.grid.theta_h, self.grid.theta_d, self.grid.phi_d
         return Slices(
-            theta_h=self.grid.theta_h,
-            m_h=_mean_over_phi(self.raw[:, 0], above[:, 0]) * self.scale,
-            theta_d=self.grid.theta_d,
-            m_d=_mean_over_phi(self.raw[0], above[0]) * self.scale,
-            theta_h_mirror=float(self.grid.theta_h[0]),
+            theta_h=theta_h,
+            m_h=_mean_over_phi(self.raw[:, 0], _above(theta_h[:, None], theta_d[0], phi_d[None, :]))
+            * self.scale,
+            theta_d=theta_d,
+            m_d=_mean_over_phi(self.raw[0], _above(theta_h[0], theta_d[:, None], phi_d[None, :]))
+            * self.scale,
+            theta_h_mirror=float(theta_h[0]),
         )
 
     @per_channel
@@ -75,15 +79,25 @@ class MeasuredBRDF(AbstractBRDF):
             _neighbours(theta_d, self.grid.theta_d),
             _periodic_neighbours(phi_d % jnp.pi, self.grid.phi_d, jnp.pi),
         ]
-        total, weight = 0.0, 0.0
-        for i, u in corners[0]:
-            for j, v in corners[1]:
-                for k, w in corners[2]:
-                    raw = jnp.asarray(self.raw)[i, j, k]
-                    share = jnp.where(raw >= 0, u * v * w, 0)
-                    total, weight = total + share * jnp.where(raw >= 0, raw, 0), weight + share
+        total = weight = jnp.zeros_like(theta_h)
+        for (i, u), (j, v), (k, w) in product(*corners):
+            raw, valid = self._sample(i, j, k)
+            share = jnp.where(valid, u * v * w, 0)
+            total, weight = total + share * jnp.where(valid, raw, 0), weight + share
         f = jnp.where(weight > 0, safe_divide(total, weight) * self.scale, jnp.nan)
         return jnp.where(both_above(wi, wo), f, 0)
+
+    def _sample(self, i, j, k):
+        """The raw samples with these indices, and whether each is valid."""
+        raw = jnp.asarray(self.raw)[i, j, k]
+        axes = (self.grid.theta_h, i), (self.grid.theta_d, j), (self.grid.phi_d, k)
+        cos_i, cos_o = pair_cosines(*(jnp.asarray(nodes)[index] for nodes, index in axes))
+        return raw, (raw >= 0) & (cos_i > 0) & (cos_o > 0)
+
+
+def _above(theta_h, theta_d, phi_d) -> np.ndarray:
+    cos_i, cos_o = pair_cosines(theta_h, theta_d, phi_d)
+    return np.asarray((cos_i > 0) & (cos_o > 0))
 
 
 def _mean_over_phi(raw: np.ndarray, above: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import in_chunks, per_channel
 from jaxbrdf.directions import Direction, cos_theta
-from jaxbrdf.special import gauss_legendre
+from jaxbrdf.special import fold, gauss_legendre
 
 
 class AbstractNDF(eqx.Module):
@@ -35,7 +35,7 @@ class AbstractNDF(eqx.Module):
 
 
 class AbstractIsotropicNDF(AbstractNDF):
-    r"""A distribution that is a function of the polar angle alone, given by its slope density P22(x), x = tan²θ.
+    r"""A distribution of the polar angle alone, given by its slope density P22(x), x = tan²θ.
 
         D(m) = P22(tan²θ) / cos⁴θ above the horizon, 0 at and below it;   ∫_0^∞ P22(x) dx = 1/π
         σ(θ) = cos θ (1 + Λ(θ)),   Λ(θ) = ∫_{cot²θ}^∞ P22(x) (s − arctan s) dx,   s = √(x tan²θ − 1)
@@ -54,24 +54,25 @@ class AbstractIsotropicNDF(AbstractNDF):
 
     @per_channel
     def __call__(self, m: Direction) -> Float[Array, "..."]:
-        cos_m = cos_theta(m)
-        above = cos_m > 0
-        cos2 = jnp.where(above, cos_m, 1) ** 2
-        return jnp.where(above, self.slope_density((1 - cos2) / cos2) / cos2**2, 0)
+        above = cos_theta(m) > jnp.finfo(m.dtype).tiny ** 0.25  # where 1 / cos⁴ is still a number
+        sin2 = m[..., 0] ** 2 + m[..., 1] ** 2  # 1 − cos² would lose the digits that a sharp peak needs
+        tan2 = jnp.where(above, sin2, 0) / jnp.where(above, cos_theta(m), 1) ** 2
+        return jnp.where(above, self.slope_density(tan2) * (1 + tan2) ** 2, 0)
 
     @per_channel
     def projected_area(self, w: Direction) -> Float[Array, "..."]:
         return in_chunks(self._projected_area, cos_theta(w))
 
-    def _projected_area(self, cos_w: Float[Array, "..."]) -> Float[Array, "..."]:
+    def _projected_area(self, cos_w: Float[Array, ""]) -> Float[Array, ""]:
         """The integral above with cos θ · s = B sinh q, B² = cos²θ + core² sin²θ, and q ∝ r^{3/2}.
 
         sinh follows P22 through its decades; r^{3/2} gathers nodes where s − arctan s starts like s³.
         Below the horizon σ(−w) = σ(w) − w·n.
         """
+        cos, below = fold(cos_w)
         core, reach = self.slope_scales()
-        r, weights = gauss_legendre(48)
-        cos2, cos = jnp.square(cos_w)[..., None], jnp.abs(cos_w)[..., None]
+        r, weights = gauss_legendre(48, cos_w.dtype)
+        cos2 = cos**2
         sin2 = jnp.maximum(1 - cos2, 1e-12)  # towards the normal P22 is 0 before this matters
         B2 = cos2 + core**2 * sin2
         q_max = jnp.arcsinh(reach * jnp.sqrt(sin2 / B2))
@@ -80,4 +81,4 @@ class AbstractIsotropicNDF(AbstractNDF):
         dx_dq = jnp.sinh(2 * q) * B2 / sin2
         bracket = s_cos - cos * jnp.arctan2(s_cos, cos)
         integrand = self.slope_density((cos2 + s_cos**2) / sin2) * bracket * dx_dq
-        return jnp.maximum(cos_w, 0) + jnp.sum(dq * integrand, axis=-1)
+        return below + cos + jnp.sum(dq * integrand)

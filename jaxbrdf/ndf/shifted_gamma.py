@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import Parameter, in_chunks, parameter, per_channel
+from jaxbrdf.arrays import Parameter, Range, in_chunks, parameter, per_channel
 from jaxbrdf.directions import spherical
 from jaxbrdf.ndf.base import AbstractIsotropicNDF
 from jaxbrdf.special import log_upper_gamma, safe_sqrt
@@ -21,8 +21,8 @@ class ShiftedGamma(AbstractIsotropicNDF):
     it is an integral, to 1e-9 of 1 + Λ.
     """
 
-    alpha: Parameter = parameter()
-    p: Parameter = parameter()
+    alpha: Parameter = parameter(fitted=Range(1e-5, 2.0, log=True))
+    p: Parameter = parameter(fitted=Range(0.0, 3.0))
 
     def slope_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """P22(x) at x = tan²θ."""

@@ -13,10 +13,10 @@ from jaxbrdf.special import safe_sqrt
 class TabulatedNDF(AbstractNDF):
     r"""A table of D over the unit disk of (m_x, m_y): each cell of the grid holds one value.
 
-    `values` (N, N), or (N, N, C): values[i, j] = D at m_x = (2j+1)/N − 1, m_y = (2i+1)/N − 1, in 1/sr; N = 1025
-    puts one cell on the normal. A cell's solid angle is dA / cos θ with dA = (2/N)², so that Σ D dA = 1 for a
-    normalised table (Dong et al. 2015, section 5); nothing is renormalised here. Cells whose centre lies
-    outside the disk count as zero.
+    `values` (N, N), or (N, N, C): values[i, j] = D at m_x = (2j+1)/N − 1, m_y = (2i+1)/N − 1, in 1/sr;
+    N = 1025 puts one cell on the normal. A cell's solid angle is dA / cos θ with dA = (2/N)², so that
+    Σ D dA = 1 for a normalised table (Dong et al. 2015, section 5); nothing is renormalised here. Cells
+    whose centre lies outside the disk count as zero.
     """
 
     values: Float[Array, "N N *channels"] = parameter(rank=2)

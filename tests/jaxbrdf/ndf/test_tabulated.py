@@ -1,0 +1,206 @@
+"""Tables of a distribution over the disk, and tables of its projected area."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import chi2
+
+import jaxbrdf as jb
+from tests import references
+
+N = 129
+
+
+def cells(n):
+    """m_x, m_y, m_z at the centres of an n × n table, m_z = 0 outside the disk."""
+    m_x, m_y = ((2 * np.arange(n) + 1) / n - 1)[None, :], ((2 * np.arange(n) + 1) / n - 1)[:, None]
+    m_x, m_y = np.broadcast_arrays(m_x, m_y)
+    return m_x, m_y, np.sqrt(np.maximum(1 - m_x**2 - m_y**2, 0))
+
+
+@eqx.filter_jit
+def projected_area(ndf, w):
+    return ndf.projected_area(w)
+
+
+@eqx.filter_jit
+def sample(ndf, u):
+    return ndf.sample(u)
+
+
+def tilted(n=N):
+    """A table without symmetry, of the shifted gamma density tilted in slope space, NaN outside the disk."""
+    m_x, m_y, m_z = cells(n)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope2 = (m_x / m_z - 0.3) ** 2 + (m_y / m_z + 0.1) ** 2 / 0.25
+        D = np.exp(-slope2 / 0.1) / m_z**4
+    return np.where(m_z > 0, D, np.nan)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return jb.TabulatedNDF(np.nan_to_num(tilted()))
+
+
+def test_density_looks_up_the_cell_of_the_normal(table):
+    """values[i, j] stands at m_x = (2j+1)/N − 1, m_y = (2i+1)/N − 1: x runs along a row."""
+    m = np.stack(cells(N), axis=-1)
+    inside = m[..., 2] > 0
+    assert_allclose(table(jnp.asarray(m))[inside], tilted()[inside])
+    assert float(table(jb.spherical(0.3, 0.0))) > 20 * float(table(jb.spherical(0.3, np.pi)))
+
+
+def test_the_middle_cell_of_an_odd_table_is_centred_on_the_normal():
+    values = np.zeros((5, 5))
+    values[2, 2] = 7.0
+    table = jb.TabulatedNDF(values)
+    assert float(table(jnp.array([0.0, 0.0, 1.0]))) == 7.0
+    edge = np.arcsin(0.2)
+    assert float(table(jb.spherical(edge - 1e-6, 0.0))) == 7.0
+    assert float(table(jb.spherical(edge + 1e-6, 0.0))) == 0.0
+
+
+def test_below_the_horizon_there_is_nothing(table):
+    m_x, m_y, m_z = cells(N)
+    assert_array_equal(table(jnp.asarray(np.stack([m_x, m_y, -m_z], axis=-1))), 0)
+
+
+def test_projected_area_is_the_sum_over_cells(table):
+    """σ(w) = Σ (w·m)+ D dA / m_z, in plain loops over the cells, above and below the horizon."""
+    m_x, m_y, m_z = cells(N)
+    inside = m_z > 0
+    m = np.stack([m_x, m_y, m_z], axis=-1)[inside]
+    weight = tilted()[inside] * (2 / N) ** 2 / m_z[inside]
+    w = references.direction(np.array([0.0, 0.7, 1.4, np.pi / 2, 2.0, np.pi]), np.linspace(-2, 3, 6))
+    expected = [sum(max(x @ normal, 0) * share for normal, share in zip(m, weight, strict=True)) for x in w]
+    sigma = projected_area(table, jnp.asarray(w))
+    assert_allclose(sigma, expected, rtol=1e-11, atol=1e-13)
+    assert_allclose(projected_area(table, -jnp.asarray(w)), sigma - w @ (m.T @ weight), atol=1e-11)
+
+
+def test_what_stands_outside_the_disk_is_ignored(table):
+    poisoned = jb.TabulatedNDF(tilted())  # NaN there
+    assert np.isnan(poisoned.values).any()
+    w = jb.spherical(jnp.array([0.2, 1.2]), 0.5)
+    u = jnp.linspace(0, 0.99, 20).reshape(10, 2)
+    corner = jnp.array([[0.99, 0.99, 0.1]])
+    for a, b in [
+        (poisoned(corner), [0.0]),
+        (projected_area(poisoned, w), projected_area(table, w)),
+        (sample(poisoned, u), sample(table, u)),
+    ]:
+        assert_array_equal(a, b)
+
+
+def test_samples_fall_into_cells_as_their_values(table):
+    """χ² over the blocks of a coarser grid; the probability of a cell is D dA."""
+    m = np.asarray(sample(table, jax.random.uniform(jax.random.key(5), (50_000, 2))))
+    assert_allclose(np.linalg.norm(m, axis=-1), 1, atol=1e-14)
+    borders = np.array([0, 50, 58, 64, 70, 76, 82, 88, 95, N])
+    counts, _, _ = np.histogram2d(m[:, 1], m[:, 0], [2 * borders / N - 1] * 2)
+    share = np.add.reduceat(np.add.reduceat(np.nan_to_num(tilted()), borders[:-1], 0), borders[:-1], 1)
+    expected = len(m) * share / share.sum()
+    many = expected > 5
+    assert many.sum() > 30
+    assert chi2.sf(np.sum((counts - expected)[many] ** 2 / expected[many]), many.sum() - 1) > 1e-3
+
+
+def test_samples_never_hit_an_empty_cell():
+    values = np.zeros((9, 9))
+    values[4, 2] = values[6, 5] = 1.0
+    tiny = 1e-12  # on the very border between two cells rounding decides
+    u = np.stack(np.meshgrid([tiny, 0.2, 0.5 - tiny, 0.5 + tiny, 1 - tiny], [tiny, 0.5, 1 - tiny]), axis=-1)
+    u = u.reshape(-1, 2)
+    m = sample(jb.TabulatedNDF(values), jnp.asarray(u))
+    assert_array_equal(jb.TabulatedNDF(values)(m), 1)
+
+
+def test_a_table_of_the_shifted_gamma_distribution_has_its_area_and_its_samples():
+    alpha, p, n = 0.1, 0.6, 257
+    density = references.sgd(alpha, p)
+    m_x, m_y, m_z = cells(n)
+    table = jb.TabulatedNDF(density(np.stack([m_x, m_y, m_z], axis=-1)))
+    assert_allclose(np.sum(table.values) * (2 / n) ** 2, 1, rtol=1e-3)
+    w = references.direction(np.array([0.0, 0.6, 1.2, 1.5]), 0.4)
+    expected = [references.projected_area(density, x) for x in w]
+    assert_allclose(projected_area(table, jnp.asarray(w)), expected, rtol=2e-3)
+    u = jax.random.uniform(jax.random.key(1), (20_000, 2))
+    tilt = [np.asarray(sample(ndf, u))[:, 2].mean() for ndf in (table, jb.ShiftedGamma(alpha, p))]
+    assert_allclose(*tilt, atol=4e-3)
+
+
+def test_gradients_by_the_values_and_the_direction_are_finite(table):
+    w = jnp.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
+
+    def total(table, w):
+        return jnp.sum(projected_area(table, w))
+
+    by_values = jax.jit(jax.grad(total))(table, w).values
+    m_x, m_y, m_z = cells(N)
+    share = np.where(m_z > 0, (2 / N) ** 2 / np.where(m_z > 0, m_z, 1), 0)
+    facing = sum(np.maximum(x[0] * m_x + x[1] * m_y + x[2] * m_z, 0) for x in np.asarray(w))
+    assert_allclose(by_values, facing * share, atol=1e-14)
+    assert np.all(np.isfinite(jax.jit(jax.grad(total, 1))(table, w)))
+
+
+def test_channels_trail(table):
+    rgb = jb.TabulatedNDF(jnp.stack([table.values, 2 * table.values], axis=-1))
+    m = jb.spherical(jnp.array([0.1, 0.5, 1.0]), 0.3)
+    assert_allclose(rgb(m), jnp.stack([table(m), 2 * table(m)], axis=-1))
+    assert sample(rgb, jnp.full((4, 2), 0.3)).shape == (4, 3, 2)
+
+
+# The projected area in a table
+
+ALPHA, P = (jnp.asarray(a.ravel()) for a in np.meshgrid(np.geomspace(1e-5, 1, 6), [0.0, 0.5, 1.0, 1.5, 2.0]))
+ANGLES = np.concatenate([np.linspace(0, np.pi / 2, 301), np.pi / 2 - np.geomspace(1e-8, 0.5, 300)])
+
+
+@pytest.fixture(scope="module")
+def area_with_slope():
+    """σ and ∂σ/∂α of all lobes at all angles, exact (as tested against brute force) and from the table."""
+    w = jb.spherical(jnp.asarray(ANGLES), 0.3)
+
+    def evaluate(prepare):
+        def area(alpha, p):
+            return prepare(jb.ShiftedGamma(alpha, p)).projected_area(w)
+
+        return jax.jit(jax.vmap(lambda a, p: jax.jvp(lambda a: area(a, p), (a,), (jnp.ones_like(a),))))(
+            ALPHA, P
+        )
+
+    return evaluate(lambda ndf: ndf), evaluate(jb.tabulate_projected_area)
+
+
+def test_tabulated_area_is_as_accurate_as_stated(area_with_slope):
+    (exact, by_alpha), (table, table_by_alpha) = area_with_slope
+    assert np.max(np.abs(table / exact - 1)) < 1e-7
+    assert np.max(np.abs(table_by_alpha - by_alpha) * ALPHA[:, None] / exact) < 1e-6
+
+
+def test_a_table_of_fewer_nodes_is_less_accurate():
+    """The accuracy does hang on the nodes: fourth order, so half of them cost a factor of about 16."""
+    w, ndf = jb.spherical(jnp.asarray(ANGLES), 0.0), jb.ShiftedGamma(0.5, 0.5)
+    exact = projected_area(ndf, w)
+    errors = [
+        np.max(np.abs(projected_area(jb.tabulate_projected_area(ndf, n), w) / exact - 1)) for n in (73, 145)
+    ]
+    assert 8 < errors[0] / errors[1] < 32
+
+
+def test_tabulated_area_of_an_rgb_distribution():
+    alpha = jnp.array([0.01, 0.1, 0.4])
+    table = jb.tabulate_projected_area(jb.ShiftedGamma(alpha, 0.7))
+    w = jb.spherical(jnp.array([[0.1, 0.9], [1.3, 1.55]]), 0.2)
+    assert table.area.shape == (288, 3)
+    expected = np.stack([projected_area(jb.ShiftedGamma(a, 0.7), w) for a in alpha], axis=-1)
+    assert_allclose(projected_area(table, w), expected, rtol=1e-7)
+    assert_allclose(table(w), jb.ShiftedGamma(alpha, 0.7)(w))
+
+
+def test_only_an_isotropic_distribution_has_such_a_table(table):
+    with pytest.raises(ValueError, match="isotropic"):
+        jb.tabulate_projected_area(table)
