@@ -1,0 +1,142 @@
+r"""Many small least-squares problems at once: Levenberg–Marquardt, and non-negative linear ones.
+
+A *lane* is one problem. Lanes are solved in blocks of a fixed size, one compilation for any number of
+them. Levenberg–Marquardt runs in short rounds, after which only the lanes that have not converged are
+gathered and run again, so that nobody waits for the slowest.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+_BLOCKS = (4, 16)  # lanes: one material alone, or many
+
+
+class LaneSolutions(eqx.Module):
+    """Of each lane: the minimum found, ½ Σ r² there, the steps taken, and whether it converged."""
+
+    t: Float[np.ndarray, "L n"]
+    cost: Float[np.ndarray, " L"]
+    steps: Int[np.ndarray, " L"]
+    converged: Bool[np.ndarray, " L"]
+
+
+def nonnegative_least_squares(
+    gram: Float[Array, "n n"], projection: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    r"""The x ≥ 0 that minimises ½ xᵀ G x − bᵀ x, with G = A Aᵀ and b = A y: at most 6 unknowns.
+
+    Exact and free of iterations: every set of active unknowns is solved, and of the solutions that are
+    non-negative the lowest is taken. Differentiable wherever that set does not change. An unknown whose
+    row of A is zero stays at 0.
+    """
+    n = projection.shape[0]
+    active = jnp.asarray(list(product([0.0, 1.0], repeat=n)), projection.dtype)
+    scale = jnp.sqrt(jnp.diagonal(gram))
+    scale = jnp.where(scale > 0, scale, 1)
+    G = gram / jnp.outer(scale, scale) + 1e-14 * jnp.eye(n, dtype=gram.dtype)
+    b = projection / scale
+
+    def solve(G, b, mask):
+        return _solve_small(jnp.outer(mask, mask) * G + jnp.diag(1 - mask), mask * b)
+
+    # Which set is best has no derivative: only the one solution that is kept is differentiated.
+    x = jax.vmap(solve, (None, None, 0))(*jax.lax.stop_gradient((G, b)), active)
+    cost = jnp.where(jnp.all(x >= 0, axis=1), -x @ jax.lax.stop_gradient(b), jnp.inf)
+    return solve(G, b, active[jnp.argmin(cost)]) / scale
+
+
+def _solve_small(G, b):
+    """G⁻¹ b by Gauss–Jordan without pivoting, for G positive definite with a unit diagonal.
+
+    Unrolled, it fuses over lanes, where LAPACK would be called once for each of them.
+    """
+    M = jnp.concatenate([G, b[:, None]], axis=1)
+    for k in range(len(b)):
+        row = M[k] / M[k, k]
+        M = (M - M[:, k : k + 1] * row[None, :]).at[k].set(row)
+    return M[:, -1]
+
+
+def solve_lanes(
+    residual: Callable[[Array, Any], Array],
+    start: Float[np.ndarray, "L n"],
+    lanes: Any,
+    shared: Any = None,
+    *,
+    steps_a_round: int = 12,
+    rounds: int = 10,
+    tolerance: float = 1e-6,
+) -> LaneSolutions:
+    """Minimise ½ ‖residual(t, (lane, shared))‖² for each lane by Levenberg–Marquardt.
+
+    `start` (L, n); `lanes` is a pytree of arrays with a leading axis L, `shared` one that all lanes read.
+    Residuals should be of order one and t free of units: damping is λ I and starts at λ = 1.
+    """
+    t = np.array(start)
+    cost, steps = np.full(len(t), np.nan), np.zeros(len(t), int)
+    converged = np.zeros(len(t), bool)
+    block = _block_size(len(t))
+    open_lanes = np.arange(len(t))
+    for _ in range(rounds):
+        if not len(open_lanes):
+            break
+        chosen = (t[open_lanes], _rows(lanes, open_lanes))
+        found = map_lanes(_one_round(residual, steps_a_round, tolerance), chosen, shared, block)
+        t[open_lanes], cost[open_lanes], taken, done = found
+        steps[open_lanes] += taken
+        converged[open_lanes] = done
+        open_lanes = open_lanes[~done & np.isfinite(found[1])]
+    return LaneSolutions(t, cost, steps, converged)
+
+
+@lru_cache
+def _one_round(residual, max_steps, tolerance):
+    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+
+    def solve(lane, shared):
+        t, data = lane
+        found = optx.least_squares(
+            residual, solver, t, (data, shared), {"jac": "fwd"}, max_steps=max_steps, throw=False
+        )
+        cost = jnp.sum(residual(found.value, (data, shared)) ** 2) / 2
+        return found.value, cost, found.stats["num_steps"], found.result == optx.RESULTS.successful
+
+    return solve
+
+
+def map_lanes(function: Callable, lanes: Any, shared: Any = None, block: int | None = None) -> Any:
+    """`jax.vmap(function, (0, None))(lanes, shared)`, block by block; numpy arrays come back.
+
+    The last block is filled up with copies of the last lane.
+    One block at a time: XLA itself spreads a block over the cores, and two programs that it runs at once on
+    the CPU were seen to wait for each other for ever (jaxlib 0.10.2).
+    """
+    count = len(jax.tree.leaves(lanes)[0])
+    size = block or _block_size(count)
+    compiled = _compiled(function)
+    blocks = [_rows(lanes, np.minimum(np.arange(i, i + size), count - 1)) for i in range(0, count, size)]
+    done = [jax.tree.map(np.asarray, compiled(lane_block, shared)) for lane_block in blocks]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *done)
+
+
+def _block_size(lanes):
+    """The smallest block that holds all lanes, or the largest: each size is compiled once."""
+    return next((size for size in _BLOCKS if size >= lanes), _BLOCKS[-1])
+
+
+@lru_cache
+def _compiled(function):
+    return eqx.filter_jit(jax.vmap(function, (0, None)))
+
+
+def _rows(lanes, which):
+    return jax.tree.map(lambda a: np.asarray(a)[which], lanes)
