@@ -1,0 +1,135 @@
+"""The command `jaxbrdf`: names, options and help.
+
+Only signatures live here. Each command's work is a module of its own, imported when the command is
+called: `--help` answers at once and imports neither JAX nor numpy nor matplotlib.
+"""
+
+from collections.abc import Callable
+from enum import StrEnum
+from importlib.metadata import version as installed_version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+class Recipe(StrEnum):
+    """What a fit minimises."""
+
+    slices = "slices"
+    slices_linear = "slices+linear"
+    full = "full"
+
+
+Out = Annotated[
+    Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the results; made if missing.")
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Write one JSON document to standard output, and nothing else.")
+]
+Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw NAME.png for each material.")]
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app(prog_name="jaxbrdf")
+
+
+def _print_version(wanted: bool) -> bool:
+    if wanted:
+        typer.echo(f"jaxbrdf {installed_version('jaxbrdf')}")
+        raise typer.Exit
+    return wanted
+
+
+@app.callback()
+def describe(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and stop."),
+    ] = False,
+) -> None:
+    """Fit compact reflectance models to measured BRDFs.
+
+    Exit status: 0 all good; 1 some file failed and the others are done; 2 no file could be used, or the
+    arguments are wrong; 130 interrupted, with what was finished in place.
+    """
+
+
+@app.command()
+def fit(
+    files: Annotated[list[Path], typer.Argument(metavar="FILES", help="Measured BRDFs, e.g. MERL *.binary.")],
+    out: Out,
+    model: Annotated[
+        str, typer.Option(metavar="NAME", help="Model to fit: shifted-gamma.")
+    ] = "shifted-gamma",
+    recipe: Annotated[
+        Recipe,
+        typer.Option(
+            metavar="RECIPE",
+            help="**slices**: the two slices of the published procedure; **slices+linear**: then the linear "
+            "coefficients on the table; **full**: then every parameter on the whole table.",
+        ),
+    ] = Recipe.slices_linear,
+    json: Json = False,
+    pictures: Pictures = True,
+    force: Annotated[
+        bool, typer.Option("--force", help="Fit again what an earlier run has finished.")
+    ] = False,
+) -> None:
+    """Fit a reflectance model to each measured BRDF.
+
+    For every file NAME.* the folder gets NAME.h5 (the fit), NAME.json (its parameters and errors) and
+    NAME.png (measurement against fit). A table of all fits goes to standard output.
+
+    A file that cannot be read is reported and the others go on. Run again after an interrupt, the command
+    keeps what is finished: same file, same model and recipe, results newer than the file.
+
+    **Examples**
+
+    jaxbrdf fit nickel.binary --out fits
+
+    jaxbrdf fit merl/*.binary --out fits --recipe full --no-pictures
+
+    jaxbrdf fit nickel.binary --out fits --json | python -m json.tool
+    """
+    from jaxbrdf.cli.fit import FitTask, run
+
+    task = FitTask(out, model, recipe.value, with_pictures=pictures, force=force)
+    _exit_with(lambda: run(files, task, as_json=json))
+
+
+@app.command()
+def demo(out: Out = Path("jaxbrdf-demo")) -> None:
+    """Fit three stand-in materials, to see what `jaxbrdf fit` does without a measurement at hand.
+
+    The stand-ins are tables in MERL's layout, made on the spot from the ABC model parameters that Löw et
+    al. published in 2012: not measurements.
+
+    **Example**
+
+    jaxbrdf demo --out jaxbrdf-demo
+    """
+    from jaxbrdf.cli.demo import run
+
+    _exit_with(lambda: run(out))
+
+
+def _exit_with(work: Callable[[], int]) -> None:
+    """Do the work and exit with the status it returns; with 2 and a message where it refuses."""
+    from jaxbrdf.cli.batch import Refused
+
+    try:
+        status = work()
+    except Refused as refusal:
+        typer.echo(f"jaxbrdf: {refusal}", err=True)
+        status = 2
+    raise typer.Exit(status)
