@@ -67,20 +67,13 @@ def print_table(names: list[str], means: dict[str, np.ndarray]) -> None:
     Console(width=150).print(table)
 
 
-def print_summary(
-    errors: dict[str, np.ndarray], means: dict[str, np.ndarray], seconds: dict[str, float]
-) -> None:
-    table = Table(
-        "recipe", "L2 ≤ published", "log ≤ published", "median L2 ratio", "median log ratio", "L2 grew", "s"
-    )
-    before = None
-    for recipe in RECIPES:
+def print_summary(errors: dict[str, np.ndarray], seconds: dict[str, float]) -> None:
+    means = per_material(errors)
+    counts, ratios = ("L2 ≤ published", "log ≤ published"), ("median L2 ratio", "median log ratio")
+    table = Table("recipe", *counts, *ratios, "channels whose L2 grew", "s")
+    for before, recipe in zip((None, *RECIPES), RECIPES, strict=False):
         ratio = means[recipe] / means["published"]
-        grew = (
-            ""
-            if before is None
-            else f"{(errors[recipe][:, 0] > errors[before][:, 0] * (1 + 1e-6)).sum()} channels"
-        )
+        grew = errors[recipe][:, 0] > errors[before or recipe][:, 0] * (1 + 1e-6)
         table.add_row(
             recipe,
             *(f"{(ratio[:, k] <= 1).sum()} of {len(ratio)}" for k in (0, 1)),
@@ -88,7 +81,6 @@ def print_summary(
             f"{grew.sum()} of {grew.size}" if before else "",
             f"{seconds[recipe]:.1f}",
         )
-        before = recipe
     Console(width=150).print(table)
 
 

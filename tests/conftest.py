@@ -1,11 +1,13 @@
 """What every test shares: double precision, strict shapes, checked annotations, and data if at hand."""
 
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
 import jax
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -13,6 +15,11 @@ SHARED = ROOT.parent / "shared"
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# The gate tries the same examples every time; at one's desk every run tries new ones.
+settings.register_profile("gate", derandomize=True, print_blob=True)
+if os.environ.get("CI"):
+    settings.load_profile("gate")
 
 if str(ROOT) not in sys.path:  # `from tests.references import …`, however pytest was started
     sys.path.insert(0, str(ROOT))

@@ -101,7 +101,9 @@ def test_it_falls_with_x_and_its_logarithm_is_concave_in_log_x(s, x, factor):
     """What Newton's method in ShiftedGamma.sample rests on."""
     log_x = np.log(x) + np.log(factor) * np.arange(3)
     a, b, c = np.asarray(special.log_upper_gamma(jnp.full(3, s), jnp.exp(log_x)))
-    assert a > b > c
+    rounding = 1e-12 * (1 + abs(b))
+    assert a > b - rounding
+    assert b > c - rounding
     assert a - 2 * b + c < 1e-10 * (1 + abs(b))
 
 

@@ -28,7 +28,7 @@ def test_an_unknown_material_names_its_neighbours():
     with pytest.raises(ValueError, match="nickel"):
         published("abc", "nickle")
     with pytest.raises(ValueError, match="abc"):
-        published("sgd", "nickel")
+        published("phong", "nickel")
 
 
 def test_cells_below_the_horizon_are_marked_as_in_real_files(nickel):

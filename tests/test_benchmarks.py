@@ -1,0 +1,37 @@
+"""The benchmark scripts: what they print, on made-up numbers; their runs are too long for a test."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "benchmarks"
+
+
+def load(name: str):
+    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_merl_error_counts_materials_and_channels(capsys, tmp_path):
+    script = load("merl_error")
+    ones = np.ones((2, 2, 3))  # materials, measures, channels
+    errors = {"published": ones, "slices": 2 * ones, "slices+linear": ones.copy(), "full": ones / 2}
+    errors["slices+linear"][0, 0, 1] = 3.0  # one channel's L2 grows, and its material is above the published
+    script.print_table(["a", "b"], script.per_material(errors))
+    script.print_summary(errors, dict.fromkeys(script.RECIPES, 1.0))
+    script.write_csv(tmp_path / "errors.csv", ["a", "b"], errors)
+    lines = {
+        cells[1].strip(): cells
+        for line in capsys.readouterr().out.splitlines()
+        if (cells := line.split("│"))[1:]
+    }
+    assert [c.strip() for c in lines["slices"][2:4]] == ["0 of 2", "0 of 2"]
+    assert [c.strip() for c in lines["slices+linear"][2:4]] == ["1 of 2", "2 of 2"]
+    assert lines["slices+linear"][6].strip() == "1 of 6"
+    assert lines["full"][6].strip() == "0 of 6"
+    assert len((tmp_path / "errors.csv").read_text().splitlines()) == 1 + 4 * 2 * 3
