@@ -40,8 +40,8 @@ def nonnegative_least_squares(
     """
     n = projection.shape[0]
     active = jnp.asarray(list(product([0.0, 1.0], repeat=n)), projection.dtype)
-    scale = jnp.sqrt(jnp.diagonal(gram))
-    scale = jnp.where(scale > 0, scale, 1)
+    squares = jnp.diagonal(gram)
+    scale = jnp.sqrt(jnp.where(squares > 0, squares, 1))
     G = gram / jnp.outer(scale, scale) + 1e-14 * jnp.eye(n, dtype=gram.dtype)
     b = projection / scale
 

@@ -167,3 +167,14 @@ def test_mapping_over_lanes_pads_and_cuts(count):
 
 def _scale_and_sum(lane, factors):
     return lane["b"] * factors, lane["a"] + jnp.sum(lane["b"])
+
+
+def test_an_unknown_that_is_not_there_leaves_the_gradient_finite():
+    """A lobe that underflows at every sample is a row of zeros; the solver still asks for derivatives."""
+
+    def first(scale):
+        A = jnp.array([[1.0, 2.0, 1.0], [0.0, 0.0, 0.0]]) * jnp.stack([scale, scale])[:, None]
+        return nonnegative_least_squares(A @ A.T, A @ jnp.array([1.0, 1.0, 2.0]))[0]
+
+    # x = (a·y) / (a·a) / scale with a·y = 5, a·a = 6.
+    assert_allclose(jax.value_and_grad(first)(2.0), (5 / 12, -5 / 24), rtol=1e-12)
