@@ -68,13 +68,6 @@ def per_channel(method: Callable) -> Callable:
     return mapped
 
 
-def channel_count(model: eqx.Module) -> int | None:
-    """C of a model with channels, None of a model without."""
-    leaves = jax.tree.leaves(model)
-    counts = {leaf.shape[-1] for leaf, axis in zip(leaves, _channel_axes(model), strict=True) if axis == -1}
-    return counts.pop() if counts else None
-
-
 def _channel_axes(model: eqx.Module) -> list[int | None]:
     """For each leaf of the model: -1 where it has an axis of channels, None where it has not."""
     paths, _ = jax.tree_util.tree_flatten_with_path(model)

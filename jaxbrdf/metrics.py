@@ -98,12 +98,9 @@ def compare(
     L2 is ruled by the mirror peak, which is why the others stand next to it; in those a negative ρ counts
     as 0. A channel without any valid pair has NaN. Of several angles, each error is (angles, C).
     """
-    table, values, largest = (
-        tabulate(model, measured.grid),
-        jnp.asarray(measured.values),
-        largest_albedo(measured),
-    )
+    table = tabulate(model, measured.grid)
     table = table[..., None] if table.ndim == 3 else table
+    values, largest = jnp.asarray(measured.values), largest_albedo(measured)
     limits = max_angle if isinstance(max_angle, Sequence) else (max_angle,)
     errors = [_errors(table, values, measured.grid, largest, limit) for limit in limits]
     if not isinstance(max_angle, Sequence):

@@ -14,8 +14,6 @@ NOTE = "stand-in made from the ABC model parameters published by Löw et al. 201
 
 MATERIALS = ("nickel", "red-plastic", "blue-rubber")  # a metal, a plastic, something nearly diffuse
 
-_MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500  # from the raw numbers of a MERL file to 1/sr
-
 
 def run(out: Path) -> int:
     """Fit the stand-ins into the folder `out`, say what they are and what to try next; the exit status."""
@@ -45,8 +43,8 @@ def stand_in(material: str) -> MeasuredBRDF:
     cos_h = np.broadcast_to(np.cos(grid.theta_h)[:, None, None], grid.shape)
     cos_d = np.broadcast_to(np.cos(grid.theta_d)[None, :, None], grid.shape)
     raw = np.full((*grid.shape, 3), -1.0)
-    raw[above] = _abc(material, cos_i[above], cos_o[above], cos_h[above], cos_d[above]) / _MERL_SCALE
-    return MeasuredBRDF(raw, _MERL_SCALE, grid, f"abc-{material}")
+    raw[above] = _abc(material, cos_i[above], cos_o[above], cos_h[above], cos_d[above])
+    return MeasuredBRDF(raw, np.ones(3), grid, f"abc-{material}")
 
 
 def _abc(

@@ -116,10 +116,11 @@ def quick_model(result: FitResult) -> AbstractBRDF:
 
 def score(model: AbstractBRDF, measured: MeasuredBRDF) -> dict[str, list[float]]:
     """The errors of one material for each channel, over all directions and over those below 80°."""
+    errors = compare(model, measured, tuple(_LIMITS.values()))
     return {
-        name + suffix: np.asarray(values).tolist()
-        for suffix, limit in _LIMITS.items()
-        for name, values in compare(model, measured, limit).items()
+        name + suffix: np.asarray(values[i]).tolist()
+        for i, suffix in enumerate(_LIMITS)
+        for name, values in errors.items()
     }
 
 

@@ -80,4 +80,5 @@ def test_demo_from_end_to_end(tmp_path, monkeypatch):
 def test_a_stand_in_survives_its_file(tmp_path, nickel):
     again = read_merl(demo.write_stand_in("nickel", tmp_path))
     assert again.name == "abc-nickel"
-    np.testing.assert_allclose(again.raw, nickel.raw, rtol=1e-12)
+    np.testing.assert_allclose(again.values, nickel.values, rtol=1e-12)
+    assert (again.raw[np.isnan(nickel.values)] == -1).all()  # as in real files
