@@ -14,11 +14,11 @@ from jaxtyping import Array, Float, Int
 
 from fitting.parameters import ShapeSpace, combinations
 from jaxbrdf.ndf.tabulated_area import polar_nodes, polar_position
+from jaxbrdf.special import lagrange_stencil
 
 _SHAPES = {1: (161,), 2: (97, 33)}  # nodes over the range of each shape parameter
 _COSINES = 193
-_ORDER = 6  # nodes of each local polynomial
-_LAGRANGE = np.linalg.inv(np.vander(np.arange(_ORDER) - (_ORDER - 1) / 2, increasing=True).T)
+_GRAZING = 1e-5  # the cosine below which they are evenly spaced
 
 
 class MaskingTable(eqx.Module):
@@ -35,11 +35,10 @@ class MaskingTable(eqx.Module):
     def log_area(self, t: Float[Array, " n"]) -> Float[Array, " K"]:
         """log σ at the table's directions for the shape t."""
         counts = self.values.shape[:-1]
-        stencils = [_stencil(jnp.clip(t[k], 0, 1) * (n - 1), n) for k, n in enumerate(counts)]
-        first = [first for first, _ in stencils]
-        local = jax.lax.dynamic_slice(
-            self.values, (*first, 0), (_ORDER,) * len(counts) + self.values.shape[-1:]
-        )
+        stencils = [lagrange_stencil(jnp.clip(t[k], 0, 1) * (n - 1), n) for k, n in enumerate(counts)]
+        first = [nodes[0] for nodes, _ in stencils]
+        size = [len(nodes) for nodes, _ in stencils]
+        local = jax.lax.dynamic_slice(self.values, (*first, 0), (*size, self.values.shape[-1]))
         for _, weights in stencils:
             local = jnp.tensordot(weights, local, axes=1)
         return jnp.sum(local[self.nearest] * self.weights, axis=-1)
@@ -50,12 +49,11 @@ def masking_table(space: ShapeSpace, cos_w: Float[np.ndarray, " K"]) -> MaskingT
 
     Few directions are interpolated once, here; many at each look-up.
     """
-    first, weights = _stencil(polar_position(jnp.asarray(cos_w), _COSINES), _COSINES)
-    nearest = np.asarray(first)[:, None] + np.arange(_ORDER)
+    nearest, weights = lagrange_stencil(polar_position(jnp.asarray(cos_w), _COSINES, _GRAZING), _COSINES)
     table = _log_areas(space)
     if len(cos_w) > _COSINES:
-        return MaskingTable(jnp.asarray(table), jnp.asarray(nearest), weights.T)
-    here = np.einsum("...ko,ok->...k", table[..., nearest], weights)
+        return MaskingTable(jnp.asarray(table), nearest, weights)
+    here = np.einsum("...ko,ko->...k", table[..., np.asarray(nearest)], weights)
     itself = np.arange(len(cos_w))[:, None]
     return MaskingTable(jnp.asarray(here), jnp.asarray(itself), jnp.ones(itself.shape))
 
@@ -65,17 +63,9 @@ def _log_areas(space: ShapeSpace) -> np.ndarray:
     """log σ at all nodes, from the integral: (*shapes, cosines)."""
     counts = _SHAPES[len(space.names)]
     shapes = combinations(*[np.linspace(0, 1, n) for n in counts])
-    cos_w = polar_nodes(_COSINES)
+    cos_w = np.asarray(polar_nodes(_COSINES, _GRAZING))
     directions = jnp.stack([np.sqrt(np.maximum(1 - cos_w**2, 0)), 0 * cos_w, cos_w], axis=-1)
     area = jax.jit(
         lambda shapes: jax.lax.map(lambda t: space.ndf(t).projected_area(directions), shapes, batch_size=64)
     )
     return np.log(area(shapes)).reshape(*counts, _COSINES)
-
-
-def _stencil(position, count: int):
-    """The first of the nodes around a position in [0, count − 1], and their Lagrange weights (order, ...)."""
-    first = jnp.clip(jnp.floor(position).astype(int) - (_ORDER // 2 - 1), 0, count - _ORDER)
-    x = position - first - (_ORDER - 1) / 2
-    powers = jnp.stack([x**k for k in range(_ORDER)])
-    return first, jnp.tensordot(_LAGRANGE, powers, axes=1)

@@ -18,8 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fitting.least_squares import map_lanes, solve_lanes
+from jaxbrdf.arrays import parameter_ranks
 from jaxbrdf.directions import Direction, spherical
-from jaxbrdf.ndf.base import AbstractIsotropicNDF, AbstractNDF
+from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.shadowing import ShiftedGammaShadowing, smith_G1
 from jaxbrdf.special import gauss_legendre
 
@@ -46,10 +47,11 @@ def fit_masking(ndf: AbstractNDF) -> ShiftedGammaShadowing:
     in benchmarks/masking_approximation.py: never worse than the published values. Bagher et al. 2012,
     section 4.3 and eq. 9. Raises ValueError for a distribution that is not isotropic.
     """
-    if not isinstance(ndf, AbstractIsotropicNDF):
+    if not ndf.is_isotropic or any(parameter_ranks(ndf)):
         raise ValueError(
-            f"fit_masking takes an isotropic distribution with a slope density, not {type(ndf).__name__}: "
-            "give the one that a table was made from, or keep Smith's exact masking, jaxbrdf.Uncorrelated()"
+            f"fit_masking takes an isotropic distribution given by plain numbers, not this "
+            f"{type(ndf).__name__}: give the one that a table was made from, or keep Smith's exact masking, "
+            "jaxbrdf.Uncorrelated()"
         )
     leaves = np.broadcast_arrays(*jax.tree.leaves(ndf))
     lanes = jax.tree.unflatten(jax.tree.structure(ndf), [leaf.reshape(-1) for leaf in leaves])
@@ -79,7 +81,7 @@ def _nodes() -> tuple[np.ndarray, np.ndarray]:
     return np.pi / 2 * (1 - r**3), np.pi / 2 * 3 * r**2 * weight
 
 
-def _exact_G1(ndf: AbstractIsotropicNDF, w: Direction) -> Float[Array, " K"]:
+def _exact_G1(ndf: AbstractNDF, w: Direction) -> Float[Array, " K"]:
     return smith_G1(ndf, w)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import Range, fitted_ranges
-from jaxbrdf.ndf.base import AbstractIsotropicNDF
+from jaxbrdf.ndf.base import AbstractNDF
 
 
 class ShapeSpace(eqx.Module):
@@ -20,10 +20,10 @@ class ShapeSpace(eqx.Module):
     ndf_class: type = eqx.field(static=True)
 
     def __check_init__(self):
-        if not (issubclass(self.ndf_class, AbstractIsotropicNDF) and 1 <= len(self.ranges) <= 2):
+        if not (1 <= len(self.ranges) <= 2 and self.ndf(np.full(len(self.ranges), 0.5)).is_isotropic):
             raise ValueError(
-                f"{self.ndf_class.__name__} cannot be fitted to an isotropic table: expected an "
-                "AbstractIsotropicNDF with one or two parameters declared as parameter(fitted=Range(...))"
+                f"{self.ndf_class.__name__} cannot be fitted to an isotropic table: expected an isotropic "
+                "distribution with one or two parameters declared as parameter(fitted=Range(...))"
             )
 
     @property
@@ -34,14 +34,14 @@ class ShapeSpace(eqx.Module):
     def names(self) -> tuple[str, ...]:
         return tuple(self.ranges)
 
-    def ndf(self, t: Float[Array, "... n"]) -> AbstractIsotropicNDF:
+    def ndf(self, t: Float[Array, "... n"]) -> AbstractNDF:
         """The distribution at t, with parameters of shape (...)."""
         u = jnp.clip(t, 0, 1)
         return self.ndf_class(
             **{name: _value(r, u[..., k]) for k, (name, r) in enumerate(self.ranges.items())}
         )
 
-    def shape_of(self, ndf: AbstractIsotropicNDF) -> np.ndarray:
+    def shape_of(self, ndf: AbstractNDF) -> np.ndarray:
         """The t of a distribution: undoes `ndf`; parameters (...) to (..., n)."""
         shares = [_share(r, np.asarray(getattr(ndf, name))) for name, r in self.ranges.items()]
         return np.stack(np.broadcast_arrays(*shares), axis=-1)

@@ -74,7 +74,7 @@ def fit_two_slice(
     alone = not isinstance(measured, Sequence)
     materials = [measured] if isinstance(measured, Measured) else list(measured)
     _warn_of_float32()
-    space = ShapeSpace(ndf if isinstance(ndf, type) else type(ndf))
+    space = _shape_space(ndf)
     slices = [m if isinstance(m, Slices) else m.slices() for m in materials]
     _check(materials, slices, recipe)
     lanes, samples = slice_lanes(slices), slice_samples(space, slices[0])
@@ -98,6 +98,17 @@ class _Lanes(NamedTuple):
     steps: np.ndarray
     converged: np.ndarray
     covariance: np.ndarray
+
+
+def _shape_space(ndf: AbstractNDF | type[AbstractNDF]) -> ShapeSpace:
+    if isinstance(ndf, type):
+        return ShapeSpace(ndf)
+    if not ndf.is_isotropic:
+        raise ValueError(
+            f"this {type(ndf).__name__} is anisotropic, and two slices hold no azimuth: give an isotropic "
+            "distribution, such as its class"
+        )
+    return ShapeSpace(type(ndf))
 
 
 def _warn_of_float32() -> None:

@@ -16,14 +16,44 @@ from .directions import (
     to_spherical,
 )
 from .fit_result import FitResult, FitStatus
-from .fresnel import AbstractFresnel, LinearSchlick
+from .fresnel import (
+    AbstractFresnel,
+    Conductor,
+    Constant,
+    Dielectric,
+    Lazanyi,
+    LinearSchlick,
+    Schlick,
+    kappa_from_reflectance,
+)
 from .metrics import albedo, compare, largest_albedo, normalized_l2
-from .ndf.base import AbstractIsotropicNDF, AbstractNDF
+from .ndf.base import AbstractIsotropicNDF, AbstractNDF, AbstractVisibleNDF
+from .ndf.beckmann import Beckmann
+from .ndf.blinn_phong import AnisotropicPhong, BlinnPhong
+from .ndf.ellipsoid import Ellipsoid
+from .ndf.exponential import Exponential
+from .ndf.gaussian_microfacets import GaussianCylinder, GaussianMicrofacets
+from .ndf.grooves import VGrooves
+from .ndf.mixture import Mixture, facet_area, mixture
+from .ndf.modulated import Modulated
 from .ndf.shifted_gamma import ShiftedGamma
+from .ndf.student_t import StudentT
 from .ndf.tabulated import TabulatedNDF
 from .ndf.tabulated_area import TabulatedArea, tabulate_projected_area
+from .ndf.trowbridge_reitz import TrowbridgeReitz
+from .ndf.velvet import SlantedVelvet, Velvet
 from .quadrature import HalfDifferenceGrid, hemisphere, merl_grid
-from .shadowing import AbstractShadowing, ShiftedGammaShadowing, Uncorrelated, smith_G1
+from .shadowing import (
+    AbstractShadowing,
+    AzimuthCorrelated,
+    FreeTravel,
+    HeightCorrelated,
+    ShiftedGammaShadowing,
+    Uncorrelated,
+    Unshadowed,
+    VCavity,
+    smith_G1,
+)
 from .special import log_upper_gamma, upper_gamma
 
 __all__ = [
@@ -32,32 +62,60 @@ __all__ = [
     "AbstractIsotropicNDF",
     "AbstractNDF",
     "AbstractShadowing",
+    "AbstractVisibleNDF",
+    "AnisotropicPhong",
+    "AzimuthCorrelated",
+    "Beckmann",
+    "BlinnPhong",
+    "Conductor",
+    "Constant",
     "CookTorrance",
+    "Dielectric",
+    "Ellipsoid",
+    "Exponential",
     "FitResult",
     "FitStatus",
+    "FreeTravel",
+    "GaussianCylinder",
+    "GaussianMicrofacets",
     "HalfDifferenceGrid",
+    "HeightCorrelated",
     "Lambertian",
+    "Lazanyi",
     "LinearSchlick",
     "MeasuredBRDF",
+    "Mixture",
+    "Modulated",
+    "Schlick",
     "ShiftedGamma",
     "ShiftedGammaBRDF",
     "ShiftedGammaShadowing",
+    "SlantedVelvet",
     "Slices",
+    "StudentT",
     "Sum",
     "TabulatedArea",
     "TabulatedNDF",
+    "TrowbridgeReitz",
     "Uncorrelated",
+    "Unshadowed",
+    "VCavity",
+    "VGrooves",
+    "Velvet",
     "albedo",
     "compare",
     "dot",
+    "facet_area",
     "from_frame",
     "from_half_difference",
     "half_vector",
     "hemisphere",
+    "kappa_from_reflectance",
     "largest_albedo",
     "log_upper_gamma",
     "merl_grid",
     "metrics",
+    "mixture",
     "normalized_l2",
     "reflect",
     "smith_G1",

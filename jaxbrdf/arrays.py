@@ -7,6 +7,7 @@ Batches of models are not made here: they are `jax.vmap` over the model's leaves
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -16,6 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 Parameter = Float[Array, "..."]  # () or (C,): one value, or one for each channel
@@ -30,12 +32,70 @@ class Range:
     log: bool = False
 
 
-def parameter(rank: int = 0, fitted: Range | None = None) -> Any:
+@dataclass(frozen=True)
+class Domain:
+    """The values for which a formula has a meaning: from low (left out where `open`) to high."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open: bool = False
+
+    def __contains__(self, value: Array | np.ndarray) -> bool:
+        """Whether all of an array lies inside; NaN, the parameter of a failed fit, is let through."""
+        array = np.asarray(value)
+        return not np.any((array <= self.low if self.open else array < self.low) | (array > self.high))
+
+    def __str__(self):
+        bound = f"{'greater than' if self.open else 'at least'} {self.low:g}"
+        return bound if self.high == math.inf else f"{bound} and at most {self.high:g}"
+
+
+POSITIVE = Domain(0.0, open=True)
+NON_NEGATIVE = Domain(0.0)
+
+
+def parameter(
+    rank: int = 0,
+    domain: Domain | None = None,
+    fitted: Range | None = None,
+    optional: bool = False,
+    default: float | None = None,
+) -> Any:
     """A field of a model whose own shape has `rank` axes; one more, at the end, is the channels.
 
-    `fitted` is the range in which a fit may look for the parameter; evaluation is not bound to it.
+    A model refuses values outside the `domain` when it is made. `fitted` is the range in which a fit may look
+    for the parameter; evaluation is not bound to it. A parameter may be left out if it is `optional`, then it
+    is None, or if it has a `default`.
     """
-    return eqx.field(converter=jnp.asarray, metadata={"rank": rank, "fitted": fitted})
+    metadata = {"rank": rank, "domain": domain, "fitted": fitted}
+    converter = _array_or_none if optional else jnp.asarray
+    if optional or default is not None:
+        return eqx.field(converter=converter, metadata=metadata, default=default)
+    return eqx.field(converter=converter, metadata=metadata)
+
+
+def _array_or_none(value):
+    return None if value is None else jnp.asarray(value)
+
+
+def floats(a: ArrayLike) -> Float[Array, "..."]:
+    """`a` as an array of floating-point numbers, whole numbers too; in its own precision if it has one."""
+    array = jnp.asarray(a)
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+
+
+class Parametric(eqx.Module):
+    """A pytree of parameters; what `parameter` declares of them is checked when it is made, outside jit."""
+
+    def __check_init__(self):
+        for field in dataclasses.fields(self):
+            domain, value = field.metadata.get("domain"), getattr(self, field.name)
+            if domain is None or value is None or isinstance(value, jax.core.Tracer):
+                continue
+            if value not in domain:
+                raise ValueError(
+                    f"{type(self).__name__}: {field.name} must be {domain}; found {np.array2string(value)}"
+                )
 
 
 def fitted_ranges(model_class: type[eqx.Module]) -> dict[str, Range]:
@@ -68,17 +128,22 @@ def per_channel(method: Callable) -> Callable:
     return mapped
 
 
-def _channel_axes(model: eqx.Module) -> list[int | None]:
+def _channel_axes(model: Any) -> list[int | None]:
     """For each leaf of the model: -1 where it has an axis of channels, None where it has not."""
     paths, _ = jax.tree_util.tree_flatten_with_path(model)
     axes = [_channel_axis(leaf, _rank(model, path), jax.tree_util.keystr(path)) for path, leaf in paths]
     counts = {leaf.shape[-1] for (_, leaf), axis in zip(paths, axes, strict=True) if axis == -1}
     if len(counts) > 1:
         raise ValueError(
-            f"the parameters of {type(model).__name__} have different numbers of channels: {sorted(counts)}; "
+            f"the model's parameters have different numbers of channels: {sorted(counts)}; "
             "give each parameter no channels or the same number of them"
         )
     return axes
+
+
+def parameter_ranks(model: Any) -> list[int]:
+    """The rank, without channels, that each leaf of a model was declared with."""
+    return [_rank(model, path) for path, _ in jax.tree_util.tree_flatten_with_path(model)[0]]
 
 
 def _channel_axis(leaf: Array | np.ndarray, rank: int, name: str) -> int | None:

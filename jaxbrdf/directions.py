@@ -4,13 +4,49 @@ A direction is an array (..., 3) of unit vectors, z along the macro-normal n; le
 Angles are in radians, φ in (−π, π]. At the poles, where φ is undefined, φ is 0 and its gradient 0.
 """
 
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxbrdf.arrays import floats
 from jaxbrdf.special import safe_arctan2, safe_hypot, safe_normalize
 
 Direction = Float[Array, "... 3"]
 Angle = Float[Array, "..."]
+
+
+NORMAL = (0.0, 0.0, 1.0)  # n, the macro-normal
+_UNIT_ERROR = 1e-3  # of the length of a direction; single precision stays far below
+
+
+def as_directions(w: ArrayLike, name: str) -> Direction:
+    """`w` as an array of directions, checked: its shape always, the lengths where values are at hand.
+
+    The zero vector passes: it is `half_vector` of opposite directions. Raises ValueError.
+    """
+    array = as_floats(w, name, "directions", 3)
+    if isinstance(array, jax.core.Tracer):
+        return array
+    length2 = np.sum(np.square(array), axis=-1)
+    wrong = ~(np.abs(length2 - 1) < 2 * _UNIT_ERROR) & (length2 != 0)
+    if np.any(wrong):
+        raise ValueError(
+            f"{name} must hold unit vectors; found one of length {np.sqrt(length2[wrong][0]):.6g}. "
+            f"Divide by the length: {name} / norm({name}, axis=-1, keepdims=True)"
+        )
+    return array
+
+
+def as_floats(a: ArrayLike, name: str, kind: str, components: int) -> Float[Array, "... components"]:
+    """`a` as floating-point numbers with `components` of them along the last axis; else ValueError."""
+    array = floats(a)
+    if array.ndim == 0 or array.shape[-1] != components:
+        raise ValueError(
+            f"{name} must hold {kind} along its last axis, shape (..., {components}); found {array.shape}"
+        )
+    return array
 
 
 def dot(a: Direction, b: Direction) -> Angle:
@@ -65,7 +101,7 @@ def to_half_difference(wi: Direction, wo: Direction) -> tuple[Angle, Angle, Angl
     """
     h = half_vector(wi, wo)
     theta_h, phi_h = to_spherical(h)
-    d = _rotate_y(_rotate_z(wi, -phi_h), -theta_h)
+    d = rotate_y(rotate_z(wi, -phi_h), -theta_h)
     theta_d, phi_d = to_spherical(d)
     return theta_h, phi_h, theta_d, phi_d
 
@@ -73,15 +109,23 @@ def to_half_difference(wi: Direction, wo: Direction) -> tuple[Angle, Angle, Angl
 def from_half_difference(theta_h, phi_h, theta_d, phi_d) -> tuple[Direction, Direction]:
     """(wi, wo) of Rusinkiewicz's angles: undoes `to_half_difference`; the four angles broadcast."""
     theta_h, phi_h, theta_d, phi_d = jnp.broadcast_arrays(theta_h, phi_h, theta_d, phi_d)
-    wi = _rotate_z(_rotate_y(spherical(theta_d, phi_d), theta_h), phi_h)
+    wi = rotate_z(rotate_y(spherical(theta_d, phi_d), theta_h), phi_h)
     return wi, reflect(wi, spherical(theta_h, phi_h))
 
 
-def _rotate_y(w: Direction, angle: Angle) -> Direction:
+def rotate_x(w: Direction, angle: Angle) -> Direction:
+    """R_x(angle) w: active and right-handed, from y towards z."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([w[..., 0], c * w[..., 1] - s * w[..., 2], s * w[..., 1] + c * w[..., 2]], axis=-1)
+
+
+def rotate_y(w: Direction, angle: Angle) -> Direction:
+    """R_y(angle) w: active and right-handed, from z towards x."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)
 
 
-def _rotate_z(w: Direction, angle: Angle) -> Direction:
+def rotate_z(w: Direction, angle: Angle) -> Direction:
+    """R_z(angle) w: active and right-handed, from x towards y."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)

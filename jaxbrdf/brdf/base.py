@@ -4,23 +4,28 @@ from abc import abstractmethod
 from functools import reduce
 from operator import add
 
-import equinox as eqx
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import per_channel
-from jaxbrdf.directions import Direction, cos_theta
+from jaxbrdf.arrays import Parametric, per_channel
+from jaxbrdf.directions import Direction, as_directions, cos_theta
 
 
-class AbstractBRDF(eqx.Module):
+class AbstractBRDF(Parametric):
     """A reflectance f(wi, wo) in 1/sr, without the cosine; sums of reflectances are reflectances.
 
-    Directions are (..., 3); the result is (...), or (..., C) where parameters carry C channels.
+    Directions are (..., 3); the result is (...), or (..., C) where parameters carry C channels. Raises
+    ValueError for directions that are not unit vectors (outside jit).
     """
 
-    @abstractmethod
-    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    def __call__(self, wi: ArrayLike, wo: ArrayLike) -> Float[Array, "..."]:
         """f(wi, wo), 1/sr; 0 where either direction is at or below the horizon."""
+        return per_channel(type(self)._reflectance)(self, as_directions(wi, "wi"), as_directions(wo, "wo"))
+
+    @abstractmethod
+    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+        """f for one channel."""
 
     def __add__(self, other: "AbstractBRDF") -> "Sum":
         return Sum((self, other))
@@ -31,8 +36,7 @@ class Sum(AbstractBRDF):
 
     terms: tuple[AbstractBRDF, ...]
 
-    @per_channel
-    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         return reduce(add, (term(wi, wo) for term in self.terms))
 
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import Parameter, parameter, per_channel
+from jaxbrdf.arrays import Parameter, parameter
 from jaxbrdf.brdf.base import AbstractBRDF, both_above, cosine_product
 from jaxbrdf.directions import Direction, dot, half_vector
 from jaxbrdf.fresnel import AbstractFresnel
@@ -25,8 +25,7 @@ class CookTorrance(AbstractBRDF):
     fresnel: AbstractFresnel  # type: ignore[misc]
     shadowing: AbstractShadowing = Uncorrelated()
 
-    @per_channel
-    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         h = half_vector(wi, wo)
         D = self.ndf(h)
         F = self.fresnel(dot(wi, h))

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import Parameter, parameter, per_channel
+from jaxbrdf.arrays import Parameter, parameter
 from jaxbrdf.brdf.base import AbstractBRDF, both_above
 from jaxbrdf.directions import Direction
 
@@ -13,6 +13,5 @@ class Lambertian(AbstractBRDF):
 
     albedo: Parameter = parameter()
 
-    @per_channel
-    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         return jnp.where(both_above(wi, wo), self.albedo / jnp.pi, 0)

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import per_channel
 from jaxbrdf.brdf.base import AbstractBRDF, both_above
 from jaxbrdf.directions import Direction, to_half_difference
 from jaxbrdf.quadrature import HalfDifferenceGrid, pair_cosines
@@ -67,8 +66,7 @@ class MeasuredBRDF(AbstractBRDF):
             theta_h_mirror=float(theta_h[0]),
         )
 
-    @per_channel
-    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         """f(wi, wo): trilinear between the valid cells around the pair; NaN where none of them is valid.
 
         φ_d is periodic with period π; beyond the first and the last θ the border cells are used.

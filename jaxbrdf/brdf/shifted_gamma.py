@@ -2,7 +2,7 @@
 
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import Parameter, parameter, per_channel
+from jaxbrdf.arrays import POSITIVE, Domain, Parameter, parameter
 from jaxbrdf.brdf.base import AbstractBRDF
 from jaxbrdf.brdf.cook_torrance import CookTorrance
 from jaxbrdf.directions import Direction
@@ -23,14 +23,13 @@ class ShiftedGammaBRDF(AbstractBRDF):
 
     rho_d: Parameter = parameter()
     rho_s: Parameter = parameter()
-    alpha: Parameter = parameter()
-    p: Parameter = parameter()
+    alpha: Parameter = parameter(domain=POSITIVE)
+    p: Parameter = parameter(domain=Domain(0.0, 50.0))
     f0: Parameter = parameter()
     f1: Parameter = parameter()
     shadowing: AbstractShadowing = Uncorrelated()
 
-    @per_channel
-    def __call__(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         return self.as_cook_torrance(self.ndf)(wi, wo)
 
     @property

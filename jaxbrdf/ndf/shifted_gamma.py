@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import Parameter, Range, in_chunks, parameter, per_channel
-from jaxbrdf.directions import spherical
+from jaxbrdf.arrays import POSITIVE, Domain, Parameter, Range, in_chunks, parameter
+from jaxbrdf.directions import Direction, spherical
 from jaxbrdf.ndf.base import AbstractIsotropicNDF
 from jaxbrdf.special import log_upper_gamma, safe_sqrt
 
@@ -18,11 +18,11 @@ class ShiftedGamma(AbstractIsotropicNDF):
     Bagher et al. 2012, section 4.2, with ∫_0^∞ P22 dx = 1/π (the paper prints ∫ = 1). `alpha` > 0 is
     the roughness (published fits: 2e-5 to 0.9), `p` ≥ 0 how fast the peak falls (0 to 1.8). p = 0 is an
     exponential in x, the Beckmann distribution of roughness √α. Its projected area has no closed form:
-    it is an integral, to 1e-9 of 1 + Λ.
+    it is an integral, to 1e-9 of 1 + Λ. Raises ValueError unless alpha > 0 and p lies in [0, 50].
     """
 
-    alpha: Parameter = parameter(fitted=Range(1e-5, 2.0, log=True))
-    p: Parameter = parameter(fitted=Range(0.0, 3.0))
+    alpha: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-5, 2.0, log=True))
+    p: Parameter = parameter(domain=Domain(0.0, 50.0), fitted=Range(0.0, 3.0))
 
     def slope_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """P22(x) at x = tan²θ."""
@@ -33,8 +33,7 @@ class ShiftedGamma(AbstractIsotropicNDF):
     def slope_scales(self) -> tuple[Array, Array]:
         return self.alpha, jnp.sqrt(30 * self.alpha)
 
-    @per_channel
-    def sample(self, u: Float[Array, "... 2"]) -> Float[Array, "..."]:
+    def _sample(self, u: Float[Array, "... 2"]) -> Direction:
         r"""Exact: tan²θ solves 1 − F(θ) = Γ(1−p, α + tan²θ/α) / Γ(1−p, α) = u_1 (section 4.5), φ = 2π u_2.
 
         No closed form of the inverse exists; log Γ(1−p, e^v) is concave in v, so Newton's method on it

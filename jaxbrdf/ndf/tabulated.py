@@ -1,16 +1,17 @@
 """A distribution given by its values on a grid over the unit disk."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import in_chunks, parameter, per_channel
+from jaxbrdf.arrays import in_chunks, parameter
 from jaxbrdf.directions import Direction
-from jaxbrdf.ndf.base import AbstractNDF
-from jaxbrdf.special import safe_sqrt
+from jaxbrdf.ndf.base import AbstractVisibleNDF
+from jaxbrdf.special import safe_divide, safe_sqrt
 
 
-class TabulatedNDF(AbstractNDF):
+class TabulatedNDF(AbstractVisibleNDF):
     r"""A table of D over the unit disk of (m_x, m_y): each cell of the grid holds one value.
 
     `values` (N, N), or (N, N, C): values[i, j] = D at m_x = (2j+1)/N − 1, m_y = (2i+1)/N − 1, in 1/sr;
@@ -21,14 +22,16 @@ class TabulatedNDF(AbstractNDF):
 
     values: Float[Array, "N N *channels"] = parameter(rank=2)
 
-    @per_channel
-    def __call__(self, m: Direction) -> Float[Array, "..."]:
+    @property
+    def is_isotropic(self) -> bool:
+        return False
+
+    def _density(self, m: Direction) -> Float[Array, "..."]:
         n = self.values.shape[0]
         column, row = (jnp.clip((m[..., k] + 1) * (n / 2), 0, n - 1).astype(int) for k in (0, 1))
         return jnp.where(m[..., 2] > 0, self._inside()[row, column], 0)
 
-    @per_channel
-    def projected_area(self, w: Direction) -> Float[Array, "..."]:
+    def _projected_area(self, w: Direction) -> Float[Array, "..."]:
         """σ(w) = Σ_cells (w·m)+ D dA / m_z, a few directions at a time."""
         m, weight = self._cells(), self._inside() * self._solid_angles()
 
@@ -38,28 +41,45 @@ class TabulatedNDF(AbstractNDF):
 
         return in_chunks(area, w[..., 0], w[..., 1], w[..., 2], size=max(1, 2**22 // weight.size))
 
-    @per_channel
-    def sample(self, u: Float[Array, "... 2"]) -> Float[Array, "..."]:
-        """A normal drawn from the table: a cell with probability ∝ D dA by u_1, evenly in the cell by u_2
-        (split in two) — near the rim the point is drawn back onto the disk."""
+    def _sample(self, u: Float[Array, "... 2"]) -> Direction:
+        """A cell with probability ∝ D dA, and a point in it: see `_draw`."""
+        return self._draw(jnp.cumsum(self._inside().reshape(-1)), u)
+
+    def _sample_visible(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
+        """A cell with probability ∝ (w·m)+ D dA / m_z, and a point in it: see `_draw`.
+
+        Each direction costs a pass over the table: for many normals seen from one direction, give w as (3,).
+        """
+        m, weight = self._cells(), self._inside() * self._solid_angles()
+
+        def cumulative(w):
+            cosine = w[0] * m[0] + w[1] * m[1] + w[2] * m[2]
+            return jnp.cumsum((jnp.maximum(cosine, 0) * weight).reshape(-1))
+
+        if w.ndim == 1:
+            return self._draw(cumulative(w), u)
+        pairs = u.reshape(-1, 2), w.reshape(-1, 3)
+        return jax.lax.map(lambda uw: self._draw(cumulative(uw[1]), uw[0]), pairs).reshape(w.shape)
+
+    def _draw(self, cumulative: Float[Array, " cells"], u: Float[Array, "... 2"]) -> Direction:
+        """A cell by u_1, with what is left of u_1 and with u_2 evenly in the cell; near the rim the point is
+        drawn back onto the disk. Borders of cells, where rounding may end in a neighbour, are left out."""
         n = self.values.shape[0]
-        cumulative = jnp.cumsum(self._inside().reshape(-1))
         target = u[..., 0] * cumulative[-1]
         cell = jnp.clip(jnp.searchsorted(cumulative, target, side="right"), 0, n * n - 1)
         before = jnp.where(cell > 0, cumulative[cell - 1], 0)
-        jitter_x = (target - before) / (cumulative[cell] - before)
-        m_x = 2 * (cell % n + jitter_x) / n - 1
-        m_y = 2 * (cell // n + u[..., 1]) / n - 1
+        border = 4 * n * jnp.finfo(u.dtype).eps
+        inside = border + (1 - 2 * border) * jnp.stack(
+            [safe_divide(target - before, cumulative[cell] - before), u[..., 1]]
+        )
+        m_x = 2 * (cell % n + inside[0]) / n - 1
+        m_y = 2 * (cell // n + inside[1]) / n - 1
         rim = jnp.maximum(safe_sqrt(m_x**2 + m_y**2), 1)
         m_x, m_y = m_x / rim, m_y / rim
         return jnp.stack([m_x, m_y, safe_sqrt(1 - m_x**2 - m_y**2)], axis=-1)
 
     def _cells(self) -> np.ndarray:
-        """The normals at the cells' centres, (3, N, N); outside the disk m_z is 0."""
-        n = self.values.shape[0]
-        centre = (2 * np.arange(n) + 1) / n - 1
-        m_x, m_y = np.meshgrid(centre, centre)
-        return np.stack([m_x, m_y, np.sqrt(np.maximum(1 - m_x**2 - m_y**2, 0))])
+        return disk_cells(self.values.shape[0])
 
     def _inside(self) -> Float[Array, "N N"]:
         return jnp.where(self._cells()[2] > 0, self.values, 0)
@@ -67,3 +87,10 @@ class TabulatedNDF(AbstractNDF):
     def _solid_angles(self) -> np.ndarray:
         m_z = self._cells()[2]
         return np.where(m_z > 0, (2 / len(m_z)) ** 2 / np.where(m_z > 0, m_z, 1), 0)
+
+
+def disk_cells(n: int) -> np.ndarray:
+    """The normals at the centres of a table's cells, (3, N, N); outside the disk m_z is 0."""
+    centre = (2 * np.arange(n) + 1) / n - 1
+    m_x, m_y = np.meshgrid(centre, centre)
+    return np.stack([m_x, m_y, np.sqrt(np.maximum(1 - m_x**2 - m_y**2, 0))])

@@ -130,7 +130,7 @@ def test_provenance(tmp_path):
 class Private(AbstractBRDF):
     """A model that is not on jaxbrdf's face."""
 
-    def __call__(self, wi, wo):
+    def _reflectance(self, wi, wo):
         return 1.0
 
 

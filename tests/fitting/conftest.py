@@ -18,7 +18,7 @@ class PlainBeckmann(jb.AbstractIsotropicNDF):
     def slope_scales(self):
         return self.alpha, 6 * self.alpha
 
-    def sample(self, u):
+    def _sample(self, u):
         raise NotImplementedError
 
 

@@ -156,3 +156,35 @@ def test_gauss_legendre_integrates_polynomials_over_the_unit_interval():
     nodes, weights = special.gauss_legendre(5)
     powers = np.arange(10)  # exact to degree 2 n − 1
     assert_allclose(weights @ nodes[:, None] ** powers, 1 / (powers + 1), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "value", "gradient"),
+    [
+        (0.5, 3.0, 0.125, (0.75, 0.125 * np.log(0.5))),
+        (1e-30, 5.5, 1e-165, (5.5e-135, 1e-165 * np.log(1e-30))),
+        (0.0, 5.5, 0.0, (0, 0)),
+        (-1e-16, 5.5, 0.0, (0, 0)),
+    ],
+)
+def test_safe_power(x, y, value, gradient):
+    assert_allclose(special.safe_power(jnp.array(x), jnp.array(y)), value, rtol=1e-14)
+    assert_allclose(jax.grad(special.safe_power, (0, 1))(x, y), gradient, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("x", "y"), [(3.0, 4.0), (-3.0, 4.0), (0.0, 2.0), (1.0, 1e-12), (-1.0, 1e-12), (2.0, 0.0), (-2.0, 0.0)]
+)
+def test_complex_sqrt_and_its_gradient(x, y):
+    """Against the principal root; at y = 0 the derivatives are those from y > 0."""
+    root = np.sqrt(complex(x, y))
+    assert_allclose(special.complex_sqrt(jnp.array(x), jnp.array(y)), (root.real, root.imag), rtol=1e-14)
+    slope = 1 / (2 * root)  # d√z/dz; by x it is this, by y it is i times this
+    by_x, by_y = jnp.array(jax.jacfwd(special.complex_sqrt, (0, 1))(x, y)).T
+    assert_allclose(by_x, (slope.real, slope.imag), rtol=1e-12, atol=1e-15)
+    assert_allclose(by_y, (-slope.imag, slope.real), rtol=1e-12, atol=1e-15)
+
+
+def test_complex_sqrt_of_zero_has_no_slope():
+    assert_array_equal(special.complex_sqrt(jnp.array(0.0), jnp.array(0.0)), [0, 0])
+    assert_array_equal(jnp.array(jax.jacfwd(special.complex_sqrt, (0, 1))(0.0, 0.0)), np.zeros((2, 2)))
