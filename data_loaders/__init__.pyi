@@ -1,14 +1,18 @@
 from .errors import DataError
 from .json_record import fit_to_json
 from .merl import read_merl, read_merl_slices, write_merl
+from .optical_constants import OpticalConstants, conductor_from_colour, optical_constants
 from .published import published, published_materials
 from .recognise import read_brdf
 from .store import load_fit, save_fit
 
 __all__ = [
     "DataError",
+    "OpticalConstants",
+    "conductor_from_colour",
     "fit_to_json",
     "load_fit",
+    "optical_constants",
     "published",
     "published_materials",
     "read_brdf",

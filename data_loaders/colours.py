@@ -1,0 +1,84 @@
+"""Between spectra and colours, by the library colour-science, an optional extra of the package.
+
+Colours are linear sRGB (..., 3), spectra run over wavelengths in micrometres. The white of sRGB is the
+daylight D65: a spectrum that is the same at all wavelengths is grey.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_VISIBLE = np.arange(360, 781) / 1000  # µm; what is seen outside is less than 1e-4 of the whole
+
+
+def linear_srgb(wavelengths: ArrayLike, spectrum: ArrayLike) -> np.ndarray:
+    r"""The colour, (3,), of a spectrum s (W,) sampled at ascending wavelengths (W,), µm; linear in between.
+
+        RGB = M ∫ s(λ) D65(λ) (x̄, ȳ, z̄)(λ) dλ / the same with s = 1     (channel by channel)
+
+    M takes XYZ to linear sRGB (IEC 61966-2-1), (x̄, ȳ, z̄) is the CIE 1931 observer. Saturated spectra lie
+    outside sRGB, with a negative channel or one above that of the brightest wavelength; nothing is clipped.
+    Raises ImportError without colour-science.
+    """
+    weights = _srgb_weights()
+    s = np.interp(_VISIBLE, np.asarray(wavelengths, dtype=float), np.asarray(spectrum, dtype=float))
+    return s @ weights / weights.sum(axis=0)
+
+
+def smooth_reflectance(rgb: ArrayLike, wavelengths: ArrayLike | float) -> np.ndarray:
+    r"""A smooth reflectance spectrum of a given colour, (..., 3) and (W,) to (..., W), within (0, 1).
+
+        R(λ) = ½ + U / (2 √(1 + U²)),   U = c_0 λ² + c_1 λ + c_2
+
+    Jakob & Hanika 2019, "A low-dimensional function space for efficient spectral upsampling"; colour-science
+    finds the c. `linear_srgb` of R is the colour again, to 2e-3. Takes about .3 s a colour. Raises ValueError
+    for a colour outside [0, 1] or a wavelength outside 0.36 to 0.78 µm, ImportError without colour-science.
+    """
+    rgb, wavelengths = np.asarray(rgb, dtype=float), np.asarray(wavelengths, dtype=float)
+    if rgb.shape[-1:] != (3,) or not np.all((rgb >= 0) & (rgb <= 1)):
+        raise ValueError(
+            "expected colours in linear sRGB, shape (..., 3), every channel in [0, 1] (bytes over 255, their "
+            f"gamma undone); found {rgb}"
+        )
+    check_range(wavelengths, _VISIBLE, "the spectrum of a colour")
+    nm = 1000 * wavelengths
+    U = np.tensordot(np.apply_along_axis(_coefficients, -1, rgb), np.stack([nm**2, nm, nm**0]), axes=1)
+    return np.asarray(0.5 + U / (2 * np.sqrt(1 + U**2)))
+
+
+def check_range(wavelengths: np.ndarray, nodes: np.ndarray, what: str) -> None:
+    """Raises ValueError unless all wavelengths lie between the first and the last of the nodes."""
+    if not np.all((wavelengths >= nodes[0]) & (wavelengths <= nodes[-1])):
+        raise ValueError(
+            f"wavelengths are in micrometres, and {what} runs from {nodes[0]:g} to {nodes[-1]:g} µm; "
+            f"found {np.min(wavelengths):g} to {np.max(wavelengths):g}"
+        )
+
+
+def _coefficients(rgb: np.ndarray) -> np.ndarray:
+    """Jakob & Hanika's c_0, c_1, c_2 of one colour, for λ in nm."""
+    colour = _colour_science()
+    XYZ = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ @ rgb
+    return colour.recovery.find_coefficients_Jakob2019(XYZ)[0]
+
+
+def _srgb_weights() -> np.ndarray:
+    """What each visible wavelength adds to R, G and B under D65, (W, 3); in arbitrary units."""
+    colour = _colour_science()
+    shape = colour.SpectralShape(_VISIBLE[0] * 1000, _VISIBLE[-1] * 1000, 1)
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape)
+    daylight = colour.SDS_ILLUMINANTS["D65"].copy().align(shape)
+    to_rgb = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB
+    return daylight.values[:, None] * observer.values @ to_rgb.T
+
+
+def _colour_science():
+    try:
+        with np.printoptions():  # its import sets how numpy prints
+            import colour
+            import colour.recovery
+    except ImportError:
+        raise ImportError(
+            "colours of spectra need the library colour-science: pip install 'jaxbrdf[colour]' (constants at "
+            "given wavelengths do not need it)"
+        ) from None
+    return colour
