@@ -20,7 +20,7 @@ class ShapeSpace(eqx.Module):
     ndf_class: type = eqx.field(static=True)
 
     def __check_init__(self):
-        if not (1 <= len(self.ranges) <= 2 and self.ndf(np.full(len(self.ranges), 0.5)).is_isotropic):
+        if not (1 <= len(self.ranges) <= 2 and self.ndf(jnp.full(len(self.ranges), 0.5)).is_isotropic):
             raise ValueError(
                 f"{self.ndf_class.__name__} cannot be fitted to an isotropic table: expected an isotropic "
                 "distribution with one or two parameters declared as parameter(fitted=Range(...))"

@@ -84,6 +84,11 @@ def floats(a: ArrayLike) -> Float[Array, "..."]:
     return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
 
 
+def precision(tree: Any) -> Any:
+    """The dtype that a model, or several, computes in: that of its parameters."""
+    return jnp.result_type(float, *jax.tree.leaves(tree))
+
+
 class Parametric(eqx.Module):
     """A pytree of parameters; what `parameter` declares of them is checked when it is made, outside jit."""
 
@@ -126,6 +131,13 @@ def per_channel(method: Callable) -> Callable:
         return jax.vmap(one_channel, in_axes=in_axes, out_axes=-1)(leaves, *args)
 
     return mapped
+
+
+def channel_count(model: Any) -> int | None:
+    """The number of channels that a model's parameters carry, or None. Raises ValueError as `per_channel`."""
+    axes = _channel_axes(model)
+    counts = [leaf.shape[-1] for leaf, axis in zip(jax.tree.leaves(model), axes, strict=True) if axis == -1]
+    return counts[0] if counts else None
 
 
 def _channel_axes(model: Any) -> list[int | None]:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import floats
 from jaxbrdf.special import safe_arctan2, safe_hypot, safe_normalize
@@ -49,6 +49,12 @@ def as_floats(a: ArrayLike, name: str, kind: str, components: int) -> Float[Arra
     return array
 
 
+def same_rank(wi: Direction, wo: Direction) -> tuple[Direction, Direction]:
+    """Both with as many leading axes, so that they broadcast."""
+    rank = max(wi.ndim, wo.ndim)
+    return wi.reshape((1,) * (rank - wi.ndim) + wi.shape), wo.reshape((1,) * (rank - wo.ndim) + wo.shape)
+
+
 def dot(a: Direction, b: Direction) -> Angle:
     """a · b over the last axis."""
     return jnp.sum(a * b, axis=-1)
@@ -57,6 +63,15 @@ def dot(a: Direction, b: Direction) -> Angle:
 def cos_theta(w: Direction) -> Angle:
     """w · n, n being the z axis."""
     return w[..., 2]
+
+
+def above_horizon(cos_w: Angle) -> Bool[Array, "..."]:
+    """Whether a direction of polar cosine cos_w counts as above the horizon.
+
+    It begins where the sixth power of 1 / cos θ, the highest that a gradient meets, is still a number: at
+    1e-51, or 5e-7 in single precision.
+    """
+    return cos_w > jnp.finfo(cos_w.dtype).tiny ** (1 / 6)
 
 
 def spherical(theta, phi) -> Direction:

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import POSITIVE, Parameter, Parametric, floats, in_chunks, parameter, per_channel
-from jaxbrdf.directions import Direction, as_directions, cos_theta
+from jaxbrdf.directions import Direction, above_horizon, as_directions, cos_theta, same_rank
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.special import (
     gauss_legendre,
@@ -30,9 +30,7 @@ class AbstractShadowing(Parametric):
 
     def __call__(self, ndf: AbstractNDF, wi: ArrayLike, wo: ArrayLike) -> Float[Array, "..."]:
         """G(wi, wo), the fraction of facets that both directions see; 0 where one is below the horizon."""
-        wi, wo = as_directions(wi, "wi"), as_directions(wo, "wo")
-        rank = max(wi.ndim, wo.ndim)
-        wi, wo = (w.reshape((1,) * (rank - w.ndim) + w.shape) for w in (wi, wo))
+        wi, wo = same_rank(as_directions(wi, "wi"), as_directions(wo, "wo"))
         return _shadow((self, ndf), wi, wo)
 
     @abstractmethod
@@ -44,17 +42,9 @@ class AbstractShadowing(Parametric):
 def _shadow(models, wi, wo):
     """Term and distribution may both carry channels. No term meets a direction below the horizon, but n."""
     shadowing, ndf = models
-    above_i, above_o = _above(cos_theta(wi)), _above(cos_theta(wo))
+    above_i, above_o = above_horizon(cos_theta(wi)), above_horizon(cos_theta(wo))
     G = shadowing._shadow(ndf, _or_normal(wi, above_i), _or_normal(wo, above_o))
     return jnp.where(above_i & above_o, G, 0)
-
-
-def _above(cos_w: Float[Array, "..."]) -> Bool[Array, "..."]:
-    """Whether cos_w is above the horizon, at 1e-61, or 3e-8 in single precision.
-
-    A gradient meets the fourth power of 1 / cos θ, which is finite from there on.
-    """
-    return cos_w > jnp.finfo(cos_w.dtype).tiny ** 0.2
 
 
 def _or_normal(w: Direction, above: Bool[Array, "..."]) -> Direction:
@@ -183,7 +173,7 @@ class FreeTravel(AbstractShadowing):
 
     def _escape(self, exponent: Callable[[Array], Array], cos_w: Float[Array, "..."]) -> Float[Array, "..."]:
         """exp(−exponent(t)), t = tan θ / s; 1 where t < 1/30: the exponent is below 1e-90 there."""
-        above = _above(cos_w)
+        above = above_horizon(cos_w)
         cos = jnp.where(above, cos_w, 1)
         t = safe_sqrt(1 - cos**2) / (cos * self.smoothness)
         steep = t < 1 / 30

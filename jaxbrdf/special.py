@@ -4,6 +4,7 @@ The safe_* functions give a singular point a stated value and a gradient of zero
 `where`: the argument is made harmless before the function sees it, so that no NaN enters a derivative.
 """
 
+import math
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+_SQRT_PI = math.sqrt(math.pi)
+
 
 def safe_sqrt(x):
-    """√x for x > 0; 0 with gradient 0 for x ≤ 0 (where rounding put it)."""
-    positive = x > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
+    """√x for x > 0; 0 with gradient 0 for x ≤ 0 (where rounding put it); NaN stays NaN."""
+    nothing = x <= 0
+    return jnp.where(nothing, 0, jnp.sqrt(jnp.where(nothing, 1, x)))
 
 
 def safe_hypot(x, y):
@@ -40,6 +43,12 @@ def safe_divide(a, b):
     """a / b; 0 with gradient 0 where b = 0."""
     divisible = b != 0
     return jnp.where(divisible, a / jnp.where(divisible, b, 1), 0)
+
+
+def safe_erf_inv(x):
+    """erf⁻¹ x; at ±1, where it is infinite, its value at the next number within."""
+    end = 1 - jnp.finfo(x.dtype).epsneg
+    return jax.lax.erf_inv(jnp.clip(x, -end, end))
 
 
 def log1p_over(x):
@@ -66,8 +75,8 @@ def gauss_legendre(n: int, dtype: Any = np.float64) -> tuple[np.ndarray, np.ndar
     return ((nodes + 1) / 2).astype(dtype), (weights / 2).astype(dtype)
 
 
-_ORDER = 6  # nodes of a local polynomial
-_LAGRANGE = np.linalg.inv(np.vander(np.arange(_ORDER) - (_ORDER - 1) / 2, increasing=True).T)
+ORDER = 6  # nodes of a local polynomial
+_LAGRANGE = np.linalg.inv(np.vander(np.arange(ORDER) - (ORDER - 1) / 2, increasing=True).T)
 
 
 def lagrange_stencil(
@@ -78,24 +87,26 @@ def lagrange_stencil(
     Σ weight · value is the polynomial of degree 5 through them, at the position; one-sided at the ends,
     unless the nodes are `periodic`: then any position will do, and node `count` is node 0.
     """
-    first = jnp.floor(position).astype(int) - (_ORDER // 2 - 1)
+    first = jnp.floor(position).astype(int) - (ORDER // 2 - 1)
     if not periodic:
-        first = jnp.clip(first, 0, count - _ORDER)
-    x = (position - first - (_ORDER - 1) / 2)[..., None]
-    powers = jnp.concatenate([x**k for k in range(_ORDER)], axis=-1)
-    nodes = jnp.stack([first + k for k in range(_ORDER)], axis=-1)
+        first = jnp.clip(first, 0, count - ORDER)
+    x = (position - first - (ORDER - 1) / 2)[..., None]
+    powers = jnp.concatenate([x**k for k in range(ORDER)], axis=-1)
+    nodes = jnp.stack([first + k for k in range(ORDER)], axis=-1)
     return nodes % count, powers @ jnp.asarray(_LAGRANGE.T, powers.dtype)
 
 
 @lru_cache
 def exponential_nodes(dtype: Any = np.float64) -> tuple[np.ndarray, np.ndarray]:
-    r"""56 nodes t and weights of ∫_0^∞ e^{−t} f(t) dt, f growing at most like a power of t.
+    r"""Some 56 nodes t and weights of ∫_0^∞ e^{−t} f(t) dt, f growing at most like a power of t.
 
     The double exponential rule t = exp(y − e^{−y}), evenly spaced in y (Takahasi & Mori 1974): nodes crowd at
     t = 0 through all decades, so f may start like √t or 1/√t, or change there on any scale: 1/√(t + b) to
-    3e-9 relative whatever b, and to 1e-15 from b = 0.1 on or for b = 0.
+    3e-9 relative whatever b, and to 1e-15 from b = 0.1 on or for b = 0. They begin where a few times t is
+    still a number and √t is nothing beside 1.
     """
     y = np.arange(-4.4, 3.8, 0.15)
+    y = y[y - np.exp(-y) > 4 * np.log(np.finfo(dtype).eps)]
     t = np.exp(y - np.exp(-y))
     return t.astype(dtype), (0.15 * t * (1 + np.exp(-y)) * np.exp(-t)).astype(dtype)
 
@@ -109,7 +120,7 @@ def gaussian_ramp(z: Float[Array, "..."], r: Float[Array, "..."]) -> Float[Array
     At r = 0 it is max(z, 0), with the derivatives' limits (½ and 1/(2√π) at z = r = 0).
     """
     a = _ratio(z, r)
-    return z * (1 + jax.lax.erf(a)) / 2 + r * jnp.exp(-(a**2)) / (2 * np.sqrt(np.pi))
+    return z * (1 + jax.lax.erf(a)) / 2 + r * jnp.exp(-(a**2)) / (2 * _SQRT_PI)
 
 
 @gaussian_ramp.defjvp
@@ -117,13 +128,26 @@ def _gaussian_ramp_jvp(primals, tangents):
     z, r = primals
     z_dot, r_dot = tangents
     a = _ratio(z, r)
-    slope = (1 + jax.lax.erf(a)) / 2 * z_dot + jnp.exp(-(a**2)) / (2 * np.sqrt(np.pi)) * r_dot
+    slope = (1 + jax.lax.erf(a)) / 2 * z_dot + jnp.exp(-(a**2)) / (2 * _SQRT_PI) * r_dot
     return gaussian_ramp(z, r), slope
 
 
 def _ratio(z, r):
     """z / r; at r = 0 a number beyond which nothing changes, of the sign of z."""
     return jnp.where(r > 0, z / jnp.where(r > 0, r, 1), 1e4 * jnp.sign(z))
+
+
+def log_gamma_step(x):
+    r"""log Γ(x + ½) − log Γ(x) for x > 0, where the difference of the two would lose its digits.
+
+    −Σ_{k<12} log(1 + ½ / (x + k)), and from x + 12 on the series ½ log x − 1/(8x) + 1/(192x³) − 1/(640x⁵) +
+    17/(14336x⁷) − 31/(18432x⁹), to 1e-14 (DLMF 5.11.8 twice).
+    """
+    steps = sum(jnp.log1p(0.5 / (x + k)) for k in range(12))
+    y = x + 12
+    v = y**-2
+    series = -1 / 8 + v * (1 / 192 - v * (1 / 640 - v * (17 / 14336 - v * 31 / 18432)))
+    return jnp.log(y) / 2 + series / y - steps
 
 
 def student_ramp(z: Float[Array, ""], r: Float[Array, ""], gamma: Float[Array, ""]) -> Float[Array, ""]:
@@ -139,8 +163,8 @@ def student_ramp(z: Float[Array, ""], r: Float[Array, ""], gamma: Float[Array, "
     rounded = r > jnp.finfo(z.dtype).tiny ** 0.25
     r = jnp.where(rounded, r, 1)
     log_k2 = -jnp.log1p((height / r) ** 2)
-    log_c = jax.lax.lgamma(gamma - 0.5) - jax.lax.lgamma(gamma - 1) - np.log(np.pi) / 2
-    share = jnp.exp(log_c + (gamma - 1) * log_k2)
+    c = jnp.exp(log_gamma_step(gamma - 1)) / _SQRT_PI
+    share = c * jnp.exp((gamma - 1) * log_k2)
     root = jnp.sqrt(-jnp.expm1(log_k2 - t / (gamma - 1)))
     Q = share * jnp.sum(weights / root) / (2 * gamma - 2)
     finite = gamma > 1.5

@@ -1,4 +1,4 @@
-"""README.md keeps its word: its Python example runs as printed."""
+"""README.md keeps its word: its Python examples run as printed."""
 
 import re
 import subprocess
@@ -6,13 +6,39 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+from tests import references
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 
 
-def test_the_python_example_runs_as_printed(tmp_path):
-    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    done = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True)
+@pytest.fixture(scope="module")
+def examples():
+    return re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def numbers_printed_by(example: str, folder: Path) -> list[float]:
+    done = subprocess.run([sys.executable, "-c", example], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    numbers = [float(n) for n in re.findall(r"[-\d.]+(?:e-?\d+)?", done.stdout)]
+    return [float(n) for n in re.findall(r"[-\d.]+(?:e-?\d+)?", done.stdout)]
+
+
+def test_the_fit_finds_its_parameters_again(examples, tmp_path):
+    numbers = numbers_printed_by(examples[0], tmp_path)
     np.testing.assert_allclose(numbers[:9], [0, 0, 0, 0.15, 0.15, 0.15, 0.9, 0.9, 0.9], rtol=1e-5)
+
+
+def test_the_new_distribution_shadows_as_brute_force_says(examples, tmp_path):
+    def logistic(m, alpha=0.3):
+        above = m[..., 2] > 1e-9
+        cos = np.where(above, m[..., 2], 1)
+        y = np.minimum((1 / cos**2 - 1) / alpha**2, 600)
+        return np.where(above, 1 / (2 * np.pi * alpha**2 * np.cosh(y / 2) ** 2 * cos**4), 0)
+
+    masks = [w[2] / references.projected_area(logistic, w) for w in references.direction([1.2, 0.5], 0.0)]
+    np.testing.assert_allclose(numbers_printed_by(examples[1], tmp_path), [masks[0] * masks[1]], rtol=2e-6)
+
+
+def test_these_are_all_examples(examples):
+    assert len(examples) == 2

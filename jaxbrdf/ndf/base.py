@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbrdf.arrays import Parametric, in_chunks, per_channel
-from jaxbrdf.directions import Direction, as_directions, as_floats, cos_theta
+from jaxbrdf.directions import NORMAL, Direction, above_horizon, as_directions, as_floats, cos_theta, dot
 from jaxbrdf.special import fold, gauss_legendre, safe_divide, safe_normalize
 
 
@@ -39,6 +39,19 @@ class AbstractNDF(Parametric):
         σ(n) = 1 where no facet looks below the horizon.
         """
         return per_channel(type(self)._sample)(self, as_floats(u, "u", "points of [0, 1)²", 2))
+
+    def sample_facing(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
+        """A normal worth drawing for light that leaves along w, for each u and w; these have one shape.
+
+        For scalar parameters: what a reflectance is sampled by. The plain normals of `sample`, unless the
+        distribution knows better; then some may face away from w.
+        """
+        return self._sample(u)
+
+    def facing_density(self, m: Direction, w: Direction) -> Float[Array, "..."]:
+        """The density of `sample_facing`, 1/sr."""
+        n = jnp.array(NORMAL, m.dtype)
+        return self._density(m) * jnp.maximum(cos_theta(m), 0) / self._projected_area(n)
 
     @property
     @abstractmethod
@@ -71,6 +84,12 @@ class AbstractVisibleNDF(AbstractNDF):
         u = jnp.broadcast_to(u, (*shape, 2))
         w = w if w.ndim == 1 else jnp.broadcast_to(w, (*shape, 3))
         return per_channel(type(self)._sample_visible)(self, u, w)
+
+    def sample_facing(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
+        return self._sample_visible(u, w)
+
+    def facing_density(self, m: Direction, w: Direction) -> Float[Array, "..."]:
+        return safe_divide(self._density(m) * jnp.maximum(dot(w, m), 0), self._projected_area(w))
 
     @abstractmethod
     def _sample_visible(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
@@ -136,10 +155,9 @@ def one_each(u: Float[Array, "... 2"], w: Direction) -> Direction:
 def slopes(m: Direction) -> tuple[Float[Array, "..."], Float[Array, "..."], Bool[Array, "..."]]:
     """(m_x/m_z, m_y/m_z, above): 0, 0 and False for m at or below the horizon.
 
-    tan²θ from these keeps the digits of a sharp peak that 1 − cos²θ would lose. The horizon begins where
-    the sixth power of 1 / cos θ, which a gradient meets, overflows: at 1e-51, or 5e-7 in single precision.
+    tan²θ from these keeps the digits of a sharp peak that 1 − cos²θ would lose.
     """
-    above = cos_theta(m) > jnp.finfo(m.dtype).tiny ** (1 / 6)
+    above = above_horizon(cos_theta(m))
     cos = jnp.where(above, cos_theta(m), 1)
     return jnp.where(above, m[..., 0], 0) / cos, jnp.where(above, m[..., 1], 0) / cos, above
 

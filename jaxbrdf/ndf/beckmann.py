@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from jaxbrdf.arrays import POSITIVE, Parameter, Range, parameter
 from jaxbrdf.directions import Direction
 from jaxbrdf.ndf.base import AbstractVisibleNDF, from_slopes, one_each, slopes
-from jaxbrdf.special import gaussian_ramp, safe_divide, safe_hypot, safe_sqrt
+from jaxbrdf.special import gaussian_ramp, safe_divide, safe_erf_inv, safe_hypot, safe_sqrt
 
 
 class Beckmann(AbstractVisibleNDF):
@@ -36,8 +36,8 @@ class Beckmann(AbstractVisibleNDF):
     def _density(self, m: Direction) -> Float[Array, "..."]:
         t_x, t_y, above = slopes(m)
         alpha_x, alpha_y = self.alphas
-        P22 = jnp.exp(-((t_x / alpha_x) ** 2) - (t_y / alpha_y) ** 2) / (jnp.pi * alpha_x * alpha_y)
-        return jnp.where(above, P22 * (1 + t_x**2 + t_y**2) ** 2, 0)
+        exponent = 2 * jnp.log1p(t_x**2 + t_y**2) - (t_x / alpha_x) ** 2 - (t_y / alpha_y) ** 2
+        return jnp.where(above, jnp.exp(exponent) / (jnp.pi * alpha_x * alpha_y), 0)
 
     def _projected_area(self, w: Direction) -> Float[Array, "..."]:
         alpha_x, alpha_y = self.alphas
@@ -56,7 +56,7 @@ class Beckmann(AbstractVisibleNDF):
         w_x, w_y = alpha_x * w[..., 0], alpha_y * w[..., 1]
         r = safe_hypot(w_x, w_y)
         along = visible_slope(1 - u[..., 0], w[..., 2], r)
-        across = jax.lax.erf_inv(2 * u[..., 1] - 1)
+        across = safe_erf_inv(2 * u[..., 1] - 1)
         x, y = jnp.where(r > 0, safe_divide(w_x, r), 1), safe_divide(w_y, r)
         return from_slopes(alpha_x * (along * x - across * y), alpha_y * (along * y + across * x))
 
@@ -68,7 +68,7 @@ def visible_slope(
 
         T(s) = z erfc(s)/2 + r e^{−s²}/(2√π) = survival · σ,   σ = T(−z/r)
 
-    T falls from s = −z/r on: bisection finds the root, and a last Newton step gives it its derivatives.
+    T falls from s = −z/r on: bisection finds the root, and Newton's step there gives it its derivatives.
     """
     target = survival * gaussian_ramp(z, r)
     low = jnp.clip(-safe_divide(z, r), -6.5, 1e3)
@@ -86,4 +86,5 @@ def visible_slope(
     bracket, _ = jax.lax.scan(halve, (low, jnp.maximum(low, 0) + 6.5), None, length=50)
     s = jax.lax.stop_gradient((bracket[0] + bracket[1]) / 2)
     slope = (z + r * s) * jnp.exp(-(s**2)) / jnp.sqrt(jnp.pi)
-    return s + safe_divide(tail(s) - target, jax.lax.stop_gradient(slope))
+    step = safe_divide(tail(s) - target, jax.lax.stop_gradient(slope))
+    return s + step - jax.lax.stop_gradient(step)

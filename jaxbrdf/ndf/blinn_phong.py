@@ -100,7 +100,8 @@ class AnisotropicPhong(AbstractNDF):
         away = s > jnp.finfo(s.dtype).tiny ** 0.25
         s = jnp.where(away, s, 1)
         log_secant2 = jnp.log1p((height / s) ** 2)
-        tan = jnp.sqrt(jnp.expm1(log_secant2 + 4 * t / k))
-        inner = jnp.sum(t_weights * 2 * jnp.exp(-t) * (s * tan - height), axis=1, keepdims=True)
+        log_m = -log_secant2 - 4 * t / k  # log cos²θ of the facets; tan θ e^{−t} from it cannot overflow
+        tan = jnp.exp(-log_m / 2 - t) * jnp.sqrt(-jnp.expm1(log_m))
+        inner = jnp.sum(t_weights * 2 * (s * tan - height * jnp.exp(-t)), axis=1, keepdims=True)
         outer = 3 * r * (1 - r) * r_weights * jnp.exp(-k / 2 * log_secant2) * inner
         return height + below + jnp.sum(jnp.where(away, outer, 0))

@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import NON_NEGATIVE, parameter
+from jaxbrdf.arrays import NON_NEGATIVE, parameter, precision
 from jaxbrdf.directions import Direction
 from jaxbrdf.ndf.base import AbstractNDF, pick
 from jaxbrdf.quadrature import hemisphere
@@ -41,7 +41,7 @@ class Mixture(AbstractNDF):
         return jnp.take_along_axis(samples, index[None, ..., None], axis=0)[0]
 
 
-def mixture(weights: ArrayLike, ndfs: Sequence[AbstractNDF]) -> Mixture:
+def mixture(weights: ArrayLike | Sequence[float], ndfs: Sequence[AbstractNDF]) -> Mixture:
     r"""A mixture of distributions by weights of facet *area*, Ashikhmin's p(h) = Σ_i w_i p_i(h).
 
         D = Σ_i s_i D_i,   s_i = w_i ⟨h·n⟩_i / Σ_j w_j ⟨h·n⟩_j,   1 / ⟨h·n⟩_i = ∫ D_i dm
@@ -50,7 +50,8 @@ def mixture(weights: ArrayLike, ndfs: Sequence[AbstractNDF]) -> Mixture:
     mixture([0.7, 0.3], [GaussianCylinder(0.1), GaussianCylinder(0.3)]). Raises ValueError for negative
     weights, for none above 0, or where their number is not that of the distributions.
     """
-    weights, ndfs = jnp.asarray(weights, float), tuple(ndfs)
+    ndfs = tuple(ndfs)
+    weights = jnp.asarray(weights, precision(ndfs))
     if weights.ndim == 0 or not ndfs or len(weights) != len(ndfs):
         raise ValueError(
             f"mixture takes one weight for each distribution; found weights of shape {weights.shape} and "
@@ -71,6 +72,6 @@ def facet_area(ndf: AbstractNDF) -> Float[Array, "..."]:
     Cauchy's theorem: a facet's mean projected area over all directions is a quarter of its area, so
     ∫ σ(w) dw = π ∫ D dm. To 2e-9 for cylinders, whose σ bends most sharply with the azimuth.
     """
-    w, weight = hemisphere(64, 256)
+    w, weight = (a.astype(precision(ndf)) for a in hemisphere(64, 256))
     total = ndf.projected_area(w) + ndf.projected_area(-w)
     return jnp.tensordot(weight, total, axes=1) / jnp.pi

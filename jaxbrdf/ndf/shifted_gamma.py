@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from jaxbrdf.arrays import POSITIVE, Domain, Parameter, Range, in_chunks, parameter
 from jaxbrdf.directions import Direction, spherical
 from jaxbrdf.ndf.base import AbstractIsotropicNDF
+from jaxbrdf.ndf.trowbridge_reitz import TrowbridgeReitz
 from jaxbrdf.special import log_upper_gamma, safe_sqrt
 
 
@@ -41,6 +42,21 @@ class ShiftedGamma(AbstractIsotropicNDF):
         """
         x = in_chunks(self._inverse_survival, 1 - u[..., 0], size=4096)
         return spherical(jnp.arctan(safe_sqrt(x)), 2 * jnp.pi * u[..., 1])
+
+    def sample_facing(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
+        """Visible normals of `_proposal`: they take no root for each u, and none faces away from w."""
+        return self._proposal().sample_facing(u, w)
+
+    def facing_density(self, m: Direction, w: Direction) -> Float[Array, "..."]:
+        return self._proposal().facing_density(m, w)
+
+    def _proposal(self) -> TrowbridgeReitz:
+        """Trowbridge–Reitz (GGX, as in Bagher et al. 2012, section 4.5) of the same median slope.
+
+        The paper takes its alpha to be this alpha, which is the width of the peak: of a sharp lobe, most of
+        whose facets are in the tail of slopes √α, the samples then miss nearly all.
+        """
+        return TrowbridgeReitz(jnp.sqrt(self._inverse_survival(jnp.asarray(0.5, self.alpha.dtype))))
 
     def _inverse_survival(self, survival):
         alpha, s = self.alpha, 1 - self.p

@@ -1,5 +1,7 @@
 """A distribution given by its values on a grid over the unit disk."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import in_chunks, parameter
 from jaxbrdf.directions import Direction
-from jaxbrdf.ndf.base import AbstractVisibleNDF
+from jaxbrdf.ndf.base import AbstractNDF, AbstractVisibleNDF
 from jaxbrdf.special import safe_divide, safe_sqrt
 
 
@@ -17,10 +19,19 @@ class TabulatedNDF(AbstractVisibleNDF):
     `values` (N, N), or (N, N, C): values[i, j] = D at m_x = (2j+1)/N − 1, m_y = (2i+1)/N − 1, in 1/sr;
     N = 1025 puts one cell on the normal. A cell's solid angle is dA / cos θ with dA = (2/N)², so that
     Σ D dA = 1 for a normalised table (Dong et al. 2015, section 5); nothing is renormalised here. Cells
-    whose centre lies outside the disk count as zero.
+    whose centre lies outside the disk count as zero. A stack of tables, (B, N, N), is a batch: vmap over it.
+    Raises ValueError for values of another shape.
     """
 
-    values: Float[Array, "N N *channels"] = parameter(rank=2)
+    values: Float[Array, "..."] = parameter(rank=2)  # (N, N), (N, N, C); or a batch of them
+
+    def __check_init__(self):
+        shape = self.values.shape
+        if not any(a == b for a, b in pairwise(shape[:3])):
+            raise ValueError(
+                "TabulatedNDF: values must have shape (N, N) or (N, N, C), or (B, N, N) for a batch; found "
+                f"{shape}"
+            )
 
     @property
     def is_isotropic(self) -> bool:
@@ -61,6 +72,13 @@ class TabulatedNDF(AbstractVisibleNDF):
         pairs = u.reshape(-1, 2), w.reshape(-1, 3)
         return jax.lax.map(lambda uw: self._draw(cumulative(uw[1]), uw[0]), pairs).reshape(w.shape)
 
+    def sample_facing(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
+        """Plain normals: visible ones would cost a pass over the table for each w."""
+        return self._sample(u)
+
+    def facing_density(self, m: Direction, w: Direction) -> Float[Array, "..."]:
+        return AbstractNDF.facing_density(self, m, w)
+
     def _draw(self, cumulative: Float[Array, " cells"], u: Float[Array, "... 2"]) -> Direction:
         """A cell by u_1, with what is left of u_1 and with u_2 evenly in the cell; near the rim the point is
         drawn back onto the disk. Borders of cells, where rounding may end in a neighbour, are left out."""
@@ -79,7 +97,7 @@ class TabulatedNDF(AbstractVisibleNDF):
         return jnp.stack([m_x, m_y, safe_sqrt(1 - m_x**2 - m_y**2)], axis=-1)
 
     def _cells(self) -> np.ndarray:
-        return disk_cells(self.values.shape[0])
+        return disk_cells(self.values.shape[0]).astype(self.values.dtype)
 
     def _inside(self) -> Float[Array, "N N"]:
         return jnp.where(self._cells()[2] > 0, self.values, 0)

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import Parameter, parameter, per_channel
+from jaxbrdf.arrays import Parameter, parameter, per_channel, precision
 from jaxbrdf.directions import Direction, cos_theta, spherical
 from jaxbrdf.ndf.base import AbstractNDF
-from jaxbrdf.special import lagrange_stencil, safe_arctan2, safe_sqrt
+from jaxbrdf.special import ORDER, lagrange_stencil, safe_arctan2, safe_sqrt
 
 
 class TabulatedArea(AbstractNDF):
@@ -47,17 +47,31 @@ class TabulatedArea(AbstractNDF):
         return jnp.sum(near * row_weights[..., :, None] * weights[..., None, :], axis=(-2, -1))
 
     def _sample(self, u: Float[Array, "... 2"]) -> Direction:
-        return self.ndf.sample(u)
+        return self.ndf._sample(u)
+
+    def sample_facing(self, u: Float[Array, "... 2"], w: Direction) -> Direction:
+        return self.ndf.sample_facing(u, w)
+
+    def facing_density(self, m: Direction, w: Direction) -> Float[Array, "..."]:
+        return self.ndf.facing_density(m, w)
 
 
 def tabulate_projected_area(ndf: AbstractNDF, nodes: tuple[int, int] | None = None) -> TabulatedArea:
     """The same distribution with σ(w) tabulated, for evaluation at many directions; see `TabulatedArea`.
 
-    `nodes` is the number of polar angles from the horizon to the normal, or that and the number of azimuths:
-    193 of an isotropic distribution, (65, 192) of another, unless given; at least 6 of each. Ashikhmin et al.
-    2000, section 5.2, take 200: (10, 20).
+    `nodes` is the number of polar angles from the horizon to the normal and that of azimuths: (193, 1) of an
+    isotropic distribution, (65, 192) of another, unless given. Ashikhmin et al. 2000, section 5.2, take 200:
+    (10, 20). Relative error of σ above the horizon, absolute below it: 5e-7 for shifted gamma distributions
+    of any roughness, 2e-5 to 5e-4 for the anisotropic ones (the more, the sharper σ bends: Beckmann 0.05 ×
+    0.5 has 2e-4), 2e-2 with the paper's 200 nodes for Gaussians of 0.1 × 0.2. Raises ValueError for fewer
+    than 6 polar angles, or fewer than 6 azimuths of an anisotropic distribution.
     """
     polar, azimuths = nodes or ((193, 1) if ndf.is_isotropic else (65, 192))
+    if polar < ORDER or (azimuths < ORDER and not (azimuths == 1 and ndf.is_isotropic)):
+        raise ValueError(
+            f"nodes must hold at least {ORDER} polar angles and {ORDER} azimuths, or 1 of an isotropic "
+            f"distribution; found {nodes}"
+        )
     area, grazing = _tabulator(polar, azimuths)(ndf)
     return TabulatedArea(ndf, area, grazing)
 
@@ -70,10 +84,9 @@ def _tabulator(upper: int, azimuths: int) -> Callable[[AbstractNDF], tuple[Array
     @eqx.filter_jit
     @per_channel
     def table(ndf):
-        dtype = jnp.result_type(float, *jax.tree.leaves(ndf))
-        phi = jnp.arange(azimuths, dtype=dtype) * (2 * jnp.pi / azimuths)
+        phi = jnp.arange(azimuths, dtype=precision(ndf)) * (2 * jnp.pi / azimuths)
         on_horizon = ndf.projected_area(spherical(jnp.full_like(phi, jnp.pi / 2), phi))
-        grazing = jnp.clip(0.4 * jnp.min(on_horizon), 1e-9, 1)
+        grazing = jax.lax.stop_gradient(jnp.clip(0.4 * jnp.min(on_horizon), 1e-9, 1))  # nodes stand still
         cos = polar_nodes(upper, grazing)
         theta = jnp.arccos(jnp.concatenate([-cos[:0:-1], cos]))
         return ndf.projected_area(spherical(theta[:, None], phi[None, :])), grazing

@@ -16,9 +16,10 @@ def sample_visible_hemisphere(u: Float[Array, "... 2"], w: Direction, pole: Dire
     """
     anywhere = jnp.broadcast_to(_perpendicular(pole), w.shape)
     pole = jnp.broadcast_to(pole, w.shape)
-    across = safe_normalize(jnp.cross(pole, w))
-    across = jnp.where(jnp.any(across != 0, axis=-1, keepdims=True), across, anywhere)
-    up = jnp.cross(w, across)
+    across = jnp.cross(pole, w)
+    apart = dot(across, across)[..., None] > jnp.finfo(w.dtype).eps  # else it is no more than rounding
+    across = safe_normalize(jnp.where(apart, across, anywhere))
+    up = safe_normalize(jnp.cross(w, across))
     r, phi = safe_sqrt(u[..., 0]), 2 * jnp.pi * u[..., 1]
     x, y = r * jnp.cos(phi), r * jnp.sin(phi)
     share = (1 + dot(w, pole)) / 2

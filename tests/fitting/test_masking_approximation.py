@@ -175,6 +175,6 @@ def test_what_could_not_be_fitted_before_stays_nan():
 def test_another_kind_of_distribution_is_refused():
     tabulated = jb.tabulate_projected_area(jb.ShiftedGamma(0.1, 0.4))
     with pytest.raises(
-        ValueError, match=r"isotropic.*not TabulatedArea: give the one that a table was made from"
+        ValueError, match=r"isotropic.*not this TabulatedArea: give the one that a table was made from"
     ):
         fit_masking(tabulated)

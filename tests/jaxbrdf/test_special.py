@@ -2,8 +2,10 @@
 
 import jax
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
+import scipy.special
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -188,3 +190,23 @@ def test_complex_sqrt_and_its_gradient(x, y):
 def test_complex_sqrt_of_zero_has_no_slope():
     assert_array_equal(special.complex_sqrt(jnp.array(0.0), jnp.array(0.0)), [0, 0])
     assert_array_equal(jnp.array(jax.jacfwd(special.complex_sqrt, (0, 1))(0.0, 0.0)), np.zeros((2, 2)))
+
+
+def test_the_step_of_log_gamma_keeps_its_digits():
+    """log Γ(x + ½) − log Γ(x) by 40 digits, where lgamma's difference would have lost them; and its slope."""
+    x = np.array([1e-3, 0.5, 1.0, 9.0, 12.5, 4e2, 5e5, 1e12])
+    with mpmath.workdps(40):
+        step = [float(mpmath.loggamma(mpmath.mpf(a) + 0.5) - mpmath.loggamma(a)) for a in x]
+        slope = [float(mpmath.digamma(mpmath.mpf(a) + 0.5) - mpmath.digamma(a)) for a in x]
+    assert_allclose(special.log_gamma_step(jnp.asarray(x)), step, rtol=2e-14, atol=1e-14)
+    assert_allclose(jax.vmap(jax.grad(special.log_gamma_step))(jnp.asarray(x)), slope, rtol=1e-11)
+    single = special.log_gamma_step(jnp.asarray(x, jnp.float32))
+    assert_allclose(single, step, rtol=1e-6, atol=1e-6)
+
+
+def test_the_inverse_error_function_is_finite_at_its_ends():
+    x = jnp.array([-1.0, -0.5, 0.0, 0.9, 1.0])
+    value, slope = jax.vmap(jax.value_and_grad(special.safe_erf_inv))(x)
+    assert_allclose(scipy.special.erf(value), x, atol=1e-15)
+    assert np.all(np.isfinite(value))
+    assert np.all(np.isfinite(slope))
