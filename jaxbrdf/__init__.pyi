@@ -1,8 +1,9 @@
 from . import metrics
-from .brdf.base import AbstractBRDF, Sum
+from .brdf.base import AbstractBRDF, AbstractSum, Scaled, Sum
 from .brdf.cook_torrance import CookTorrance
 from .brdf.lambertian import Lambertian
 from .brdf.measured import MeasuredBRDF, Slices
+from .brdf.microfacet import Microfacet
 from .brdf.shifted_gamma import ShiftedGammaBRDF
 from .directions import (
     dot,
@@ -62,6 +63,7 @@ __all__ = [
     "AbstractIsotropicNDF",
     "AbstractNDF",
     "AbstractShadowing",
+    "AbstractSum",
     "AbstractVisibleNDF",
     "AnisotropicPhong",
     "AzimuthCorrelated",
@@ -84,8 +86,10 @@ __all__ = [
     "Lazanyi",
     "LinearSchlick",
     "MeasuredBRDF",
+    "Microfacet",
     "Mixture",
     "Modulated",
+    "Scaled",
     "Schlick",
     "ShiftedGamma",
     "ShiftedGammaBRDF",

@@ -1,22 +1,23 @@
 """Cook–Torrance reflectance over any distribution, Fresnel and shadowing term."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import Parameter, parameter
-from jaxbrdf.brdf.base import AbstractBRDF, both_above, cosine_product
-from jaxbrdf.directions import Direction, dot, half_vector
+from jaxbrdf.brdf.base import AbstractBRDF, AbstractSum, Scaled
+from jaxbrdf.brdf.lambertian import Lambertian
+from jaxbrdf.brdf.microfacet import Microfacet
 from jaxbrdf.fresnel import AbstractFresnel
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
 
 
-class CookTorrance(AbstractBRDF):
+class CookTorrance(AbstractSum):
     r"""A diffuse term and one lobe of mirror facets, in the normalisation of Bagher et al. 2012, eq. 1:
 
         f(wi, wo) = ρ_d / π + ρ_s / π · F(θ_d) D(h) G(wi, wo) / (cos θ_i cos θ_o)
 
-    Mind the 1/π where the microfacet theory has 1/4: published ρ_s belong to this form.
+    Mind the 1/π where the microfacet theory has 1/4 (see `Microfacet`): published ρ_s belong to this form,
+    which reflects 4/π times the light of its facets.
     """
 
     rho_d: Parameter = parameter()
@@ -25,10 +26,7 @@ class CookTorrance(AbstractBRDF):
     fresnel: AbstractFresnel  # type: ignore[misc]
     shadowing: AbstractShadowing = Uncorrelated()
 
-    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
-        h = half_vector(wi, wo)
-        D = self.ndf(h)
-        F = self.fresnel(dot(wi, h))
-        G = self.shadowing(self.ndf, wi, wo)
-        f = (self.rho_d + self.rho_s * F * D * G / cosine_product(wi, wo)) / jnp.pi
-        return jnp.where(both_above(wi, wo), f, 0)
+    @property
+    def terms(self) -> tuple[AbstractBRDF, ...]:
+        facets = Microfacet(self.ndf, self.fresnel, self.shadowing)
+        return Lambertian(self.rho_d), Scaled(self.rho_s * (4 / jnp.pi), facets)

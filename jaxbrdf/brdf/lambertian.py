@@ -15,3 +15,6 @@ class Lambertian(AbstractBRDF):
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         return jnp.where(both_above(wi, wo), self.albedo / jnp.pi, 0)
+
+    def _weight(self, wo: Direction) -> Float[Array, "..."]:
+        return jnp.broadcast_to(jnp.abs(self.albedo), wo.shape[:-1])

@@ -1,18 +1,15 @@
 """The reflectance of Bagher, Soler & Holzschuch 2012."""
 
-from jaxtyping import Array, Float
-
 from jaxbrdf.arrays import POSITIVE, Domain, Parameter, parameter
-from jaxbrdf.brdf.base import AbstractBRDF
+from jaxbrdf.brdf.base import AbstractBRDF, AbstractSum
 from jaxbrdf.brdf.cook_torrance import CookTorrance
-from jaxbrdf.directions import Direction
 from jaxbrdf.fresnel import LinearSchlick
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.shifted_gamma import ShiftedGamma
 from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
 
 
-class ShiftedGammaBRDF(AbstractBRDF):
+class ShiftedGammaBRDF(AbstractSum):
     r"""Cook–Torrance with the shifted gamma distribution and the linear Schlick term: 6 numbers a channel.
 
         f(wi, wo) = ρ_d / π + ρ_s / π · F(θ_d; F_0, F_1) D(h; α, p) G(wi, wo) / (cos θ_i cos θ_o)
@@ -29,8 +26,9 @@ class ShiftedGammaBRDF(AbstractBRDF):
     f1: Parameter = parameter()
     shadowing: AbstractShadowing = Uncorrelated()
 
-    def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
-        return self.as_cook_torrance(self.ndf)(wi, wo)
+    @property
+    def terms(self) -> tuple[AbstractBRDF, ...]:
+        return self.as_cook_torrance(self.ndf).terms
 
     @property
     def ndf(self) -> ShiftedGamma:
