@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
+from scipy.stats import chi2
 
 import jaxbrdf as jb
+from jaxbrdf.arrays import per_channel
 
 
 @eqx.filter_jit
@@ -174,3 +176,143 @@ def test_reconstructed_merl_material(merl_material):
     assert_allclose(evaluate(measured, wi, wo), measured.raw[i, j, k] * measured.scale, rtol=1e-6)
     slices = measured.slices()
     assert np.all(slices.m_h[0] > 5 * slices.m_h[45])
+
+
+# Sampling
+
+VIEWS = jb.spherical(np.array([0.3, 1.2]), np.array([0.5, -2.0]))
+U = np.random.default_rng(8).uniform(size=(20_000, 2))
+
+
+@eqx.filter_jit
+def sampled(brdf, u, wo):
+    """Of one wo: wi, pdf and f cos θ_i / pdf, with missing cells dark as for the albedo."""
+    wi = brdf.sample(u, wo[None])
+    f, pdf = jnp.nan_to_num(brdf(wi, wo[None])), brdf.pdf(wi, wo[None])
+    lit = (pdf > 0)[:, None]
+    return wi, pdf, jnp.where(lit, f * wi[:, 2:] / jnp.where(lit, pdf[:, None], 1), 0)
+
+
+@eqx.filter_jit
+@per_channel
+def weight_in_a_sum(brdf, wo):
+    return brdf._weight(wo)
+
+
+@eqx.filter_jit
+def density(brdf, wi, wo):
+    return brdf.pdf(wi, wo)
+
+
+def hemisphere(n_cos, n_phi):
+    """Directions even in cos θ and φ: (n_cos, n_phi, 3)."""
+    cos, phi = (np.arange(n_cos) + 0.5) / n_cos, (np.arange(n_phi) + 0.5) / n_phi * 2 * np.pi
+    return np.asarray(jb.spherical(np.arccos(cos)[:, None], phi[None, :]))
+
+
+def lobes():
+    """A table with two peaks over θ_h, one in each channel, on a diffuse ground, and a hole."""
+    h = np.broadcast_to(GRID.theta_h[:, None, None], SHAPE)
+    raw = np.stack(
+        [0.3 + 20 * np.exp(-((h / 0.3) ** 2)), 0.1 + 5 * np.exp(-(((h - 0.6) / 0.2) ** 2))], axis=-1
+    )
+    raw[3, 4] = -1
+    return jb.MeasuredBRDF(raw, np.array([0.5, 1.0]), GRID)
+
+
+@pytest.mark.parametrize("k", range(len(VIEWS)))
+def test_samples_follow_their_density(k):
+    """χ² over blocks of the hemisphere and what falls below it; the density is the two channels' mean."""
+    brdf, wo = lobes(), VIEWS[k]
+    wi, pdf, _ = (np.asarray(a) for a in sampled(brdf, U, wo))
+    assert wi.shape == (len(U), 3)
+    assert pdf.shape == (len(U),)
+    assert_allclose(np.linalg.norm(wi, axis=-1), 1, atol=1e-12)
+    grid = hemisphere(480, 720)
+    inside = np.asarray(density(brdf, grid.reshape(-1, 3), wo[None])).reshape(8, 60, 12, 60).sum(axis=(1, 3))
+    share = np.append(inside * (2 * np.pi / grid[..., 0].size), 0)
+    assert share.sum() < 1 + 1e-3
+    share[-1] = max(1 - share.sum(), 0)
+    row = np.where(wi[:, 2] > 0, (wi[:, 2] * 8).astype(int).clip(0, 7), 8)
+    column = (np.arctan2(wi[:, 1], wi[:, 0]) / (2 * np.pi) % 1 * 12).astype(int) % 12
+    counts = np.bincount(np.where(row < 8, row * 12 + column, 96), minlength=97)
+    expected = len(U) * share
+    used = expected > 10
+    assert used.sum() > 50
+    assert chi2.sf(np.sum((counts - expected)[used] ** 2 / expected[used]), used.sum() - 1) > 1e-3
+
+
+def brute_albedo(wo):
+    """Of both channels of `lobes`, by a sum over the hemisphere."""
+    grid = hemisphere(300, 400).reshape(-1, 3)
+    f = np.nan_to_num(evaluate(lobes(), grid, wo[None]))
+    return np.sum(f * grid[:, 2:], axis=0) * 2 * np.pi / len(grid)
+
+
+def test_the_mean_over_samples_is_the_albedo_of_each_channel():
+    for wo in VIEWS:
+        _, _, weight = (np.asarray(a) for a in sampled(lobes(), U, wo))
+        error = 4.5 * weight.std(axis=0) / np.sqrt(len(U))
+        albedo = brute_albedo(wo)
+        assert np.all(np.abs(weight.mean(axis=0) - albedo) < error + 2e-3 * albedo)
+
+
+def test_a_diffuse_table_is_sampled_like_a_diffuse_surface():
+    brdf = jb.MeasuredBRDF(np.full((*SHAPE, 1), 0.25), np.ones(1), GRID)
+    wi, pdf, weight = (np.asarray(a) for a in sampled(brdf, U[:1000], VIEWS[0]))
+    assert_allclose(pdf, wi[:, 2] / np.pi, rtol=1e-9)
+    known = weight[:, 0] > 0  # the border of the coarse table lacks cells
+    assert known.mean() > 0.9
+    assert_allclose(weight[known], 0.25 * np.pi, rtol=1e-9)
+
+
+def test_a_table_without_any_valid_cell_is_sampled_like_a_diffuse_surface():
+    brdf = jb.MeasuredBRDF(np.full((*SHAPE, 1), -1.0), np.ones(1), GRID)
+    wi, pdf, _ = (np.asarray(a) for a in sampled(brdf, U[:1000], VIEWS[0]))
+    assert_allclose(pdf, wi[:, 2] / np.pi, rtol=1e-9)
+    assert_array_equal(weight_in_a_sum(brdf, VIEWS), np.zeros((2, 1)))
+
+
+def test_wherever_light_comes_from_it_can_be_drawn():
+    """At least a tenth of the diffuse density, whatever the table; nothing at and below the horizon."""
+    grid = np.concatenate([hemisphere(40, 60).reshape(-1, 3), [[1.0, 0, 0], [0.6, 0, -0.8]]])
+    pdf = np.asarray(density(lobes(), grid, VIEWS[1][None]))
+    assert np.all(pdf[:-2] >= 0.1 * grid[:-2, 2] / np.pi * (1 - 1e-12))
+    assert_array_equal(pdf[-2:], 0)
+
+
+def test_single_precision_stays_single_when_sampling():
+    brdf = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), lobes())
+    wi, pdf, weight = sampled(brdf, U[:500].astype(np.float32), VIEWS[0].astype(np.float32))
+    double = sampled(lobes(), U[:500].astype(np.float32).astype(float), VIEWS[0])
+    assert {a.dtype for a in (wi, pdf, weight)} == {jnp.dtype(jnp.float32)}
+    near = (
+        np.linalg.norm(np.asarray(wi) - np.asarray(double[0]), axis=-1) < 1e-4
+    )  # the rest chose another way
+    assert near.mean() > 0.99
+    assert_allclose(np.asarray(pdf)[near], np.asarray(double[1])[near], rtol=0.05)
+
+
+def test_its_weight_in_a_sum_is_about_its_albedo():
+    weight = weight_in_a_sum(lobes(), VIEWS)
+    assert weight.shape == (2, 2)
+    assert_allclose(weight[0], brute_albedo(VIEWS[0]), rtol=0.5)
+
+
+def test_merl_materials_are_sampled_well(merl_material):
+    """A mirror with hundreds of times less variance than by cosine, a felt with about the same."""
+    for name, most in [("chrome", 1e-2), ("pink-felt", 1.5)]:
+        measured = merl_material(name)
+        one = jb.MeasuredBRDF(measured.raw[..., :1], measured.scale[:1], measured.grid)
+        for wo in VIEWS:
+            _, _, weight = (np.asarray(a)[..., 0] for a in sampled(one, U, wo))
+            albedo = float(jb.albedo(one, wo)[0])
+            assert abs(weight.mean() - albedo) < 4.5 * weight.std() / np.sqrt(len(U)) + 5e-3 * albedo
+            assert weight.var() < most * cosine_weights(one, wo).var()
+
+
+def cosine_weights(brdf, wo):
+    """π f of directions of density cos θ / π."""
+    r, phi = np.sqrt(U[:, 0]), 2 * np.pi * U[:, 1]
+    wi = np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - U[:, 0])], axis=-1)
+    return np.pi * np.nan_to_num(evaluate(brdf, wi, wo[None]))[:, 0]
