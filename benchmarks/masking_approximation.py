@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from data_loaders import published, published_materials
+from data_loaders import published_materials, published_parameters
 from fitting import fit_masking
 from jaxbrdf import ShiftedGamma, ShiftedGammaShadowing, smith_G1, spherical
 
@@ -36,7 +36,7 @@ MEASURES = ("L2", "L2²", "mean square", "max |e|")
 def read() -> tuple[list[str], dict[str, np.ndarray]]:
     """Names of the rows, and their columns (300,)."""
     materials = published_materials("sgd")
-    rows = [published("sgd", material) for material in materials]
+    rows = [published_parameters("sgd", material) for material in materials]
     names = [f"{material} {channel}" for material in materials for channel in "RGB"]
     return names, {k: np.concatenate([row[k] for row in rows]) for k in ("alpha", "p", "lambda", "c", "k")}
 

@@ -21,16 +21,10 @@ from rich.table import Table
 
 from data_loaders import published, read_merl
 from fitting import RECIPES, fit_shifted_gamma
-from jaxbrdf import MeasuredBRDF, ShiftedGammaBRDF, ShiftedGammaShadowing, compare, tabulate_projected_area
+from jaxbrdf import MeasuredBRDF, ShiftedGammaBRDF, compare, tabulate_projected_area
 
 CHUNK = 10  # materials fitted in one call
 ANGLES = (np.pi / 2, np.deg2rad(80))
-
-
-def published_model(name: str) -> ShiftedGammaBRDF:
-    row = published("sgd", name)
-    masking = ShiftedGammaShadowing(row["lambda"], row["c"], row["k"])
-    return ShiftedGammaBRDF(*(row[k] for k in ("rhoD", "rhoS", "alpha", "p", "F0", "F1")), masking)
 
 
 def score(model: ShiftedGammaBRDF, measured: MeasuredBRDF) -> np.ndarray:
@@ -45,7 +39,7 @@ def errors_of(files: list[Path]) -> tuple[dict[str, np.ndarray], dict[str, float
     seconds = dict.fromkeys(RECIPES, 0.0)
     for start in track(range(0, len(files), CHUNK), description="materials", console=Console(stderr=True)):
         measured = [read_merl(file) for file in files[start : start + CHUNK]]
-        errors["published"] += [score(published_model(m.name), m) for m in measured]
+        errors["published"] += [score(published("sgd", m.name), m) for m in measured]
         for recipe in RECIPES:
             begin = time.perf_counter()
             result = fit_shifted_gamma(measured, recipe)

@@ -2,7 +2,7 @@ from .errors import DataError
 from .json_record import fit_to_json
 from .merl import read_merl, read_merl_slices, write_merl
 from .optical_constants import OpticalConstants, conductor_from_colour, optical_constants
-from .published import published, published_materials
+from .published import published, published_materials, published_parameters
 from .recognise import read_brdf
 from .store import load_fit, save_fit
 
@@ -15,6 +15,7 @@ __all__ = [
     "optical_constants",
     "published",
     "published_materials",
+    "published_parameters",
     "read_brdf",
     "read_merl",
     "read_merl_slices",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_loaders import load_fit, published, read_merl
+from data_loaders import load_fit, read_merl
 from jaxbrdf import from_half_difference, merl_grid
 from jaxbrdf.cli import demo
 from jaxbrdf.cli.main import app
@@ -15,20 +15,6 @@ from jaxbrdf.cli.main import app
 @pytest.fixture(scope="module")
 def nickel():
     return demo.stand_in("nickel")
-
-
-def test_published_parameters_by_name():
-    nickel = published("abc", "nickel")
-    np.testing.assert_array_equal(nickel["kD"], [0.006227, 0.006663, 0.007587])
-    assert nickel["ior"] == 5.441883
-    assert set(nickel) == {"kD", "A", "B", "C", "ior"}
-
-
-def test_an_unknown_material_names_its_neighbours():
-    with pytest.raises(ValueError, match="nickel"):
-        published("abc", "nickle")
-    with pytest.raises(ValueError, match="abc"):
-        published("phong", "nickel")
 
 
 def test_cells_below_the_horizon_are_marked_as_in_real_files(nickel):
