@@ -1,4 +1,4 @@
-r"""Errors between a model and a measurement, and how much a reflectance reflects in all."""
+"""Errors between a model and a measurement."""
 
 from collections.abc import Sequence
 
@@ -8,59 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import in_chunks, per_channel
 from jaxbrdf.brdf.base import AbstractBRDF
 from jaxbrdf.brdf.measured import MeasuredBRDF
-from jaxbrdf.directions import (
-    Direction,
-    cos_theta,
-    dot,
-    from_half_difference,
-    reflect,
-    spherical,
-    to_spherical,
-)
+from jaxbrdf.directions import from_half_difference
+from jaxbrdf.energy import albedo, largest_albedo
 from jaxbrdf.quadrature import HalfDifferenceGrid
-from jaxbrdf.special import gauss_legendre
 
-
-@eqx.filter_jit
-@per_channel
-def albedo(brdf: AbstractBRDF, wi: Direction) -> Float[Array, "..."]:
-    r"""Directional albedo ∫ f(wi, wo) cos θ_o dω_o over the upper hemisphere: (...), or (..., C).
-
-    The integral runs over half vectors, dω_o = 4 (wi·h) dω_h, where a lobe stays near the pole however
-    sharp it is: nodes gather there like r³. For each φ_h, θ_h ends where wo meets the horizon,
-    2 θ_h = arctan2(cos θ_i, −sin θ_i cos(φ_h − φ_i)). Cells that a measurement lacks (NaN) count as dark.
-    """
-
-    def one(x, y, z):
-        return _albedo(brdf, jnp.stack([x, y, z]))
-
-    return in_chunks(one, wi[..., 0], wi[..., 1], wi[..., 2], size=4)
-
-
-def _albedo(brdf: AbstractBRDF, wi: Direction) -> Float[Array, ""]:
-    """`albedo` of one direction (3,) and one channel; nodes in θ_h run down, nodes in φ_h − φ_i across."""
-    n_phi = 64
-    r, weights = (a[:, None] for a in gauss_legendre(128, wi.dtype))
-    phi = (jnp.arange(n_phi, dtype=wi.dtype) + 0.5)[None, :] * (2 * jnp.pi / n_phi)
-    theta_i, phi_i = to_spherical(wi)
-    theta_max = jnp.arctan2(jnp.cos(theta_i), -jnp.sin(theta_i) * jnp.cos(phi)) / 2
-    theta_h = theta_max * r**3
-    h = spherical(theta_h, phi_i + phi)
-    wi = jnp.broadcast_to(wi, h.shape)
-    wo = reflect(wi, h)
-    d_theta_h = theta_max * 3 * r**2 * weights
-    d_omega_o = 4 * dot(wi, h) * jnp.sin(theta_h) * d_theta_h * (2 * jnp.pi / n_phi)
-    return jnp.sum(jnp.nan_to_num(brdf(wi, wo)) * cos_theta(wo) * d_omega_o)
-
-
-@eqx.filter_jit
-def largest_albedo(brdf: AbstractBRDF, max_angle: float = np.deg2rad(80)) -> Float[Array, "..."]:
-    """The largest directional albedo at incidence 0 to `max_angle` (radians), in 17 steps; () or (C,)."""
-    angles = jnp.linspace(0, max_angle, 17)
-    return jnp.max(jax.lax.map(lambda theta: albedo(brdf, spherical(theta, 0.0)), angles), axis=0)
+__all__ = ["albedo", "compare", "largest_albedo", "normalized_l2", "tabulate"]
 
 
 @eqx.filter_jit

@@ -108,6 +108,38 @@ def fit(
 
 
 @app.command()
+def check(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILES",
+            help="Fits (NAME.h5), measured BRDFs (*.binary), or published MODEL:MATERIAL.",
+        ),
+    ],
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the albedos against incidence.")
+    ] = None,
+) -> None:
+    """Check reflectances: negative values, reciprocity, energy, and whether samples fit.
+
+    Albedo is the share of the light that is reflected in all; above 1, a reflectance creates energy. What is
+    found is no error: the exit status tells of files that could not be read, and of nothing else.
+
+    **Examples**
+
+    jaxbrdf check fits/nickel.h5 nickel.binary
+
+    jaxbrdf check sgd:chrome abc:chrome --plot albedo.png
+
+    jaxbrdf check fits/*.h5 --json > checks.json
+    """
+    from jaxbrdf.cli.check import run
+
+    _exit_with(lambda: run(files, as_json=json, plot=plot))
+
+
+@app.command()
 def demo(out: Out = Path("jaxbrdf-demo")) -> None:
     """Fit three stand-in materials, to see what `jaxbrdf fit` does without a measurement at hand.
 

@@ -1,4 +1,4 @@
-"""Albedo against closed forms and the trapezoid rule; errors of tables against closed forms."""
+"""Errors of tables against closed forms."""
 
 import jax
 import jax.numpy as jnp
@@ -9,43 +9,6 @@ from scipy.integrate import quad
 
 import jaxbrdf as jb
 from jaxbrdf import metrics
-from tests import references
-
-ANGLES = np.array([0.0, 0.5, 1.2, 1.5, np.pi / 2 - 1e-3])
-
-
-def test_albedo_of_a_diffuse_surface_is_its_albedo():
-    assert_allclose(jb.albedo(jb.Lambertian(0.37), jb.spherical(jnp.asarray(ANGLES), 0.4)), 0.37, rtol=1e-6)
-
-
-def test_albedo_of_channels_and_of_one_direction():
-    rho = np.array([0.1, 0.5, 0.9])
-    assert_allclose(jb.albedo(jb.Lambertian(rho), jb.spherical(0.3, 0.0)), rho, rtol=1e-9)
-    assert jb.albedo(jb.Lambertian(rho), jb.spherical(jnp.zeros((2, 4)), 0.0)).shape == (2, 4, 3)
-
-
-def test_albedo_in_single_precision():
-    value = jb.albedo(jb.Lambertian(jnp.array(0.3, jnp.float32)), jnp.array([0.6, 0.0, 0.8], jnp.float32))
-    assert value.dtype == jnp.float32
-    assert_allclose(value, 0.3, rtol=1e-5)
-
-
-@pytest.mark.parametrize(("alpha", "p"), [(0.05, 0.5), (0.4, 1.2)])
-def test_albedo_of_a_lobe_is_the_trapezoid_rules(alpha, p):
-    """Over (θ_o, φ_o), the plainest way; the reflectance itself is tested against numpy elsewhere."""
-    brdf = jb.ShiftedGammaBRDF(0.1, 0.8, alpha, p, 0.7, 0.2)
-    quick = brdf.as_cook_torrance(jb.tabulate_projected_area(brdf.ndf))
-    theta = np.array([0.0, 0.7, 1.3])
-    expected = [references.albedo(jax.jit(lambda i, o: quick(i, o)), t) for t in theta]
-    assert_allclose(jb.albedo(quick, jb.spherical(jnp.asarray(theta), 0.2)), expected, rtol=2e-5)
-
-
-def test_albedo_of_a_sharp_lobe_is_its_reflectance_times_masking():
-    """A nearly perfect mirror: f → ρ_s F/π · 4 δ, the albedo is 4 ρ_s F(θ_i) / π where nothing is masked."""
-    brdf = jb.ShiftedGammaBRDF(0.0, 0.5, 1e-5, 0.5, 0.6, 0.0)
-    theta = np.array([0.0, 0.5, 1.0])
-    F = 0.6 + 0.4 * (1 - np.cos(theta)) ** 5
-    assert_allclose(jb.albedo(brdf, jb.spherical(jnp.asarray(theta), 0.0)), 4 * 0.5 * F / np.pi, rtol=1e-3)
 
 
 def uniform_grid(n_h=60, n_d=60, n_phi=40):
@@ -151,10 +114,3 @@ def test_tabulate_is_evaluation_at_the_centres():
     assert f.shape == (4, 5, 6, 2)
     wi, wo = grid.directions()
     assert_allclose(f, jax.jit(lambda i, o: brdf(i, o))(wi, wo), rtol=1e-10)
-
-
-def test_largest_albedo():
-    assert_allclose(jb.largest_albedo(jb.Lambertian(jnp.array([0.2, 0.7]))), [0.2, 0.7], rtol=1e-6)
-    brdf = jb.ShiftedGammaBRDF(0.05, 0.8, 0.2, 0.5, 0.7, 0.2)
-    angles = jnp.linspace(0, np.deg2rad(80), 17)
-    assert_allclose(jb.largest_albedo(brdf), jnp.max(jb.albedo(brdf, jb.spherical(angles, 0.0))), rtol=1e-12)
