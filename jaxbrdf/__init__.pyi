@@ -1,10 +1,22 @@
 from . import metrics
+from .brdf.abc import ABC, SmoothABC
+from .brdf.ashikhmin_shirley import (
+    AshikhminShirley,
+    AshikhminShirleyDiffuse,
+    AshikhminShirleyLobe,
+)
 from .brdf.base import AbstractBRDF, AbstractSum, Scaled, Sum
 from .brdf.cook_torrance import CookTorrance
+from .brdf.kirchhoff import KirchhoffBRDF
+from .brdf.lafortune import Lafortune
 from .brdf.lambertian import Lambertian
 from .brdf.measured import MeasuredBRDF, Slices
 from .brdf.microfacet import Microfacet
+from .brdf.oren_nayar import OrenNayar
+from .brdf.phong import BlinnPhongBRDF, Phong
+from .brdf.rough_metal import RoughMetal
 from .brdf.shifted_gamma import ShiftedGammaBRDF
+from .brdf.ward import Ward, WardDuer
 from .directions import (
     dot,
     from_frame,
@@ -58,6 +70,7 @@ from .shadowing import (
 from .special import log_upper_gamma, upper_gamma
 
 __all__ = [
+    "ABC",
     "AbstractBRDF",
     "AbstractFresnel",
     "AbstractIsotropicNDF",
@@ -66,9 +79,13 @@ __all__ = [
     "AbstractSum",
     "AbstractVisibleNDF",
     "AnisotropicPhong",
+    "AshikhminShirley",
+    "AshikhminShirleyDiffuse",
+    "AshikhminShirleyLobe",
     "AzimuthCorrelated",
     "Beckmann",
     "BlinnPhong",
+    "BlinnPhongBRDF",
     "Conductor",
     "Constant",
     "CookTorrance",
@@ -82,6 +99,8 @@ __all__ = [
     "GaussianMicrofacets",
     "HalfDifferenceGrid",
     "HeightCorrelated",
+    "KirchhoffBRDF",
+    "Lafortune",
     "Lambertian",
     "Lazanyi",
     "LinearSchlick",
@@ -89,6 +108,9 @@ __all__ = [
     "Microfacet",
     "Mixture",
     "Modulated",
+    "OrenNayar",
+    "Phong",
+    "RoughMetal",
     "Scaled",
     "Schlick",
     "ShiftedGamma",
@@ -96,6 +118,7 @@ __all__ = [
     "ShiftedGammaShadowing",
     "SlantedVelvet",
     "Slices",
+    "SmoothABC",
     "StudentT",
     "Sum",
     "TabulatedArea",
@@ -106,6 +129,8 @@ __all__ = [
     "VCavity",
     "VGrooves",
     "Velvet",
+    "Ward",
+    "WardDuer",
     "albedo",
     "compare",
     "dot",

@@ -4,7 +4,6 @@ from abc import abstractmethod
 from functools import reduce
 from operator import add
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -92,18 +91,21 @@ class AbstractBRDF(Parametric):
         return Sum((self, other))
 
     def __mul__(self, factor: ArrayLike) -> "Scaled":
-        return Scaled(factor, self)
+        return Scaled(jnp.asarray(factor), self)
 
     __rmul__ = __mul__
 
 
 class AbstractSum(AbstractBRDF):
-    """A reflectance that is a sum of others, its `terms`, which it has or makes of its parameters.
+    """A reflectance that is a sum of others, which it makes of its parameters.
 
     Sampled by drawing one of its terms, with a probability in proportion to their weights.
     """
 
-    terms: eqx.AbstractVar[tuple[AbstractBRDF, ...]]
+    @property
+    @abstractmethod
+    def terms(self) -> tuple[AbstractBRDF, ...]:
+        """The reflectances that are summed."""
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         return reduce(add, (term._reflectance(wi, wo) for term in self.terms))
@@ -130,7 +132,11 @@ class AbstractSum(AbstractBRDF):
 class Sum(AbstractSum):
     """The sum of several reflectances; `a + b` makes one."""
 
-    terms: tuple[AbstractBRDF, ...]
+    summands: tuple[AbstractBRDF, ...]
+
+    @property
+    def terms(self) -> tuple[AbstractBRDF, ...]:
+        return self.summands
 
 
 class Scaled(AbstractBRDF):

@@ -12,6 +12,7 @@ import pytest
 
 import jaxbrdf as jb
 from tests import references
+from tests.jaxbrdf.brdf.truths import classic, physical
 
 BRONZE = (0.0478786, 0.0364976, 0.014832, 0.459076, 6.05524, 5.05524)  # alum-bronze, red, as published
 SATIN = (0.1, 0.4, 0.3, 1.2, 0.6, 0.1)
@@ -107,6 +108,20 @@ def truth_of_grooves(angle, sigma):
     return f
 
 
+def glossy_lobe(f0, *exponents):
+    return jb.AshikhminShirleyLobe(jb.Schlick(f0), *exponents)
+
+
+def rough_metal(smoothness, eta, kappa):
+    return jb.RoughMetal(smoothness, jb.Conductor(eta, kappa))
+
+
+def kirchhoff(wavelength, f0):
+    dtype = jnp.result_type(float, wavelength)
+    tables = jnp.asarray(physical.tables(), dtype), jnp.asarray(physical.WAVELENGTHS_Q, dtype)
+    return jb.KirchhoffBRDF(*tables, wavelength, jb.Constant(f0))
+
+
 CASES = [
     Case(jb.Lambertian, (0.3,), lambda albedo: lambda wi, wo: albedo / np.pi),
     Case(jb.ShiftedGammaBRDF, BRONZE, truth_of_sgd),
@@ -116,6 +131,21 @@ CASES = [
     Case(a_sum, SATIN, truth_of_the_sum),
     Case(ggx_facets, (0.1, 0.5, 0.6), truth_of_ggx_facets, isotropic=False),
     Case(grooves, (0.7, 0.2), truth_of_grooves, isotropic=False),
+    Case(jb.OrenNayar, (0.8, 0.5), classic.oren_nayar),
+    Case(jb.OrenNayar, (0.5, 1.2, 0.33), classic.oren_nayar),
+    Case(jb.Phong, (2.0,), classic.phong),
+    Case(jb.Phong, (100.0,), classic.phong),
+    Case(jb.BlinnPhongBRDF, (30.0,), classic.blinn_phong, conserves=False),
+    Case(jb.Lafortune, (20.0, -1.0, -1.0, 0.8), classic.lafortune),
+    Case(jb.Lafortune, (3.0, 0.8, -0.5, 1.0), classic.lafortune, isotropic=False, conserves=False),
+    Case(jb.Ward, (0.1, 0.4), classic.ward, isotropic=False, conserves=False),
+    Case(jb.WardDuer, (0.2,), classic.ward_duer, conserves=False),
+    Case(glossy_lobe, (0.2, 50.0, 400.0), classic.ashikhmin_shirley_lobe, isotropic=False),
+    Case(jb.AshikhminShirley, (0.5, 0.1, 200.0), classic.ashikhmin_shirley),
+    Case(jb.ABC, (2.240743, 123.54203, 1.498179, 1.741225), physical.abc),  # cherry-235
+    Case(jb.SmoothABC, (46.04591, 484.464679, 1.333677, 3.40619), physical.smooth_abc),  # nickel, red
+    Case(rough_metal, (2.0, 0.2, 3.0), physical.rough_metal),
+    Case(kirchhoff, (0.55, 0.9), physical.kirchhoff, isotropic=False, conserves=False),
 ]
 every_brdf = pytest.mark.parametrize("case", CASES, ids=str)
 every_kind = pytest.mark.parametrize("case", list({c.make: c for c in CASES}.values()), ids=str)
@@ -162,7 +192,7 @@ compiled_quickly = partial(eqx.filter_jit, compiler_options={"xla_backend_optimi
 
 @dataclass(frozen=True)
 class Evaluated:
-    """f (N,) at the pairs WI, WO, and its gradients by the parameters, (P, N), and both directions, (3, N)."""
+    """f (N,) at the pairs WI, WO; its gradients by the parameters (P, N) and by both directions (3, N)."""
 
     value: np.ndarray
     by_parameter: np.ndarray

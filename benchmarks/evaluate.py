@@ -1,0 +1,201 @@
+r"""How fast is evaluation? Every reflectance at ten million pairs of directions, in both precisions.
+
+    python benchmarks/evaluate.py [--pairs N] [--repeat N] [--csv FILE] [MODEL ...]
+
+Each model is jitted and evaluated at random pairs above the horizon, a million at a time; the first million,
+which compiles, is timed apart. Shown are nanoseconds a pair (the fastest of `--repeat` runs), the ratio to
+the Lambertian reflectance of the same precision, and the seconds of compilation. Where Mitsuba 3 has the
+model (its mono variant, vectorised through LLVM, single precision; its value holds the cosine besides), it
+evaluates the same directions in the same run, and the ratio of our single precision to it is shown; the
+columns stay empty where mitsuba or LLVM is missing. Models whose projected area is an integral are shown
+as they are and with it tabulated.
+"""
+
+import argparse
+import csv
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import jaxbrdf as jb
+
+BLOCK = 1_000_000
+COPPER = (0.2, 3.9)  # η and κ
+SGD = jb.ShiftedGamma(0.1, 0.6)
+METAL = jb.Conductor(*COPPER)
+IMAGE = np.add.outer(np.hanning(64), np.hanning(64))
+
+MODELS: dict[str, Callable[[], jb.AbstractBRDF]] = {
+    "Lambertian": lambda: jb.Lambertian(0.5),
+    "Microfacet, GGX, conductor": lambda: jb.Microfacet(
+        jb.TrowbridgeReitz(0.2), METAL, jb.HeightCorrelated()
+    ),
+    "Microfacet, Beckmann, conductor": lambda: jb.Microfacet(jb.Beckmann(0.2), METAL),
+    "Microfacet, ellipsoid": lambda: jb.Microfacet(jb.Ellipsoid(0.1, 0.3, 0.1, 0.1, 0.5), METAL),
+    "Microfacet, V-cavity": lambda: jb.Microfacet(jb.Beckmann(0.2), METAL, jb.VCavity()),
+    "Microfacet, Student-t": lambda: jb.Microfacet(jb.StudentT(0.2, 3.0), METAL),
+    "Microfacet, Student-t, table of σ": lambda: jb.Microfacet(
+        jb.tabulate_projected_area(jb.StudentT(0.2, 3.0)), METAL
+    ),
+    "shifted gamma": lambda: jb.ShiftedGammaBRDF(0.1, 0.3, 0.1, 0.6, 0.5, 0.1),
+    "shifted gamma, table of σ": lambda: jb.CookTorrance(
+        0.1, 0.3, jb.tabulate_projected_area(SGD), jb.LinearSchlick(0.5, 0.1)
+    ),
+    "shifted gamma, closed masking": lambda: jb.ShiftedGammaBRDF(
+        0.1, 0.3, 0.1, 0.6, 0.5, 0.1, jb.ShiftedGammaShadowing(2.6, 1e-7, 47.8)
+    ),
+}
+
+MITSUBA = {  # what the same model is there
+    "Lambertian": {"type": "diffuse", "reflectance": 0.5},
+    "Microfacet, GGX, conductor": {"distribution": "ggx"},
+    "Microfacet, Beckmann, conductor": {"distribution": "beckmann"},
+}
+
+
+def directions(pairs: int) -> tuple[np.ndarray, np.ndarray]:
+    """(pairs, 3) each, even over the solid angle above the horizon, in double precision."""
+    rng = np.random.default_rng(1)
+
+    def half():
+        cos, phi = rng.uniform(1e-3, 1, pairs), rng.uniform(-np.pi, np.pi, pairs)
+        sin = np.sqrt(1 - cos**2)
+        return np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], axis=-1)
+
+    return half(), half()
+
+
+def best_of(repeat: int, run: Callable[[], None]) -> float:
+    seconds = []
+    for _ in range(repeat):
+        begin = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - begin)
+    return min(seconds)
+
+
+def ours(
+    brdf: jb.AbstractBRDF, wi: np.ndarray, wo: np.ndarray, dtype: type, repeat: int
+) -> tuple[float, float]:
+    """(seconds to compile, nanoseconds a pair)."""
+    brdf = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), brdf)
+    blocks = [
+        (jnp.asarray(wi[i : i + BLOCK], dtype), jnp.asarray(wo[i : i + BLOCK], dtype))
+        for i in range(0, len(wi), BLOCK)
+    ]
+    evaluate = eqx.filter_jit(lambda brdf, wi, wo: brdf(wi, wo))
+
+    def run(blocks=blocks):
+        for i, o in blocks:
+            evaluate(brdf, i, o).block_until_ready()
+
+    first = best_of(1, lambda: run(blocks[:1]))
+    warm = best_of(repeat, run)
+    return first - warm / len(blocks), 1e9 * warm / len(wi)
+
+
+def theirs(entry: dict, wi: np.ndarray, wo: np.ndarray, repeat: int) -> float:
+    """Nanoseconds a pair of Mitsuba's `eval`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    metal = {"type": "roughconductor", "alpha": 0.2, "eta": COPPER[0], "k": COPPER[1], **entry}
+    bsdf = mi.load_dict(entry if "type" in entry else metal)
+    context, blocks = mi.BSDFContext(), []
+    for i in range(0, len(wi), BLOCK):
+        interaction = dr.zeros(mi.SurfaceInteraction3f, len(wi[i : i + BLOCK]))
+        interaction.wi = mi.Vector3f(np.float32(wi[i : i + BLOCK]).T)
+        blocks.append((interaction, mi.Vector3f(np.float32(wo[i : i + BLOCK]).T)))
+    dr.eval(blocks)
+
+    def run():
+        for interaction, direction in blocks:
+            dr.eval(bsdf.eval(context, interaction, direction))
+            dr.sync_thread()
+
+    run()  # compiles
+    return 1e9 * best_of(repeat, run) / len(wi)
+
+
+def mitsuba_is_there() -> bool:
+    try:
+        import mitsuba
+
+        mitsuba.set_variant("llvm_ad_mono")
+    except ImportError:
+        return False
+    return True
+
+
+def measure(names: list[str], pairs: int, repeat: int) -> list[dict]:
+    wi, wo = directions(pairs)
+    there, rows = mitsuba_is_there(), []
+    for name in track(names, description="models", console=Console(stderr=True)):
+        row = {"model": name}
+        for dtype in (np.float32, np.float64):
+            row[f"compile {dtype.__name__}"], row[dtype.__name__] = ours(
+                MODELS[name](), wi, wo, dtype, repeat
+            )
+        row["mitsuba"] = theirs(MITSUBA[name], wi, wo, repeat) if there and name in MITSUBA else np.nan
+        rows.append(row)
+    return rows
+
+
+def print_table(rows: list[dict]) -> None:
+    table = Table(
+        "model",
+        "ns f32",
+        "× Lambertian",
+        "ns f64",
+        "× Lambertian",
+        "Mitsuba ns",
+        "× Mitsuba",
+        "compile f32, f64 / s",
+    )
+    for row in rows:
+        single, double, mitsuba = row["float32"], row["float64"], row["mitsuba"]
+        known = np.isfinite(mitsuba)
+        table.add_row(
+            row["model"],
+            f"{single:.1f}",
+            f"{single / rows[0]['float32']:.1f}",
+            f"{double:.1f}",
+            f"{double / rows[0]['float64']:.1f}",
+            f"{mitsuba:.1f}" if known else "",
+            f"{single / mitsuba:.2f}" if known else "",
+            f"{row['compile float32']:.2f} {row['compile float64']:.2f}",
+        )
+    Console(width=140).print(table)
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("models", nargs="*", help="only these, by the beginning of their names")
+    parser.add_argument("--pairs", type=int, default=10_000_000)
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--csv", type=Path, help="write the numbers here")
+    args = parser.parse_args()
+    wanted = tuple(args.models) or ("",)
+    names = [n for n in MODELS if n == "Lambertian" or n.startswith(wanted)]
+    rows = measure(names, args.pairs, args.repeat)
+    print_table(rows)
+    if args.csv:
+        with args.csv.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
