@@ -1,5 +1,6 @@
 from . import metrics
 from .brdf.abc import ABC, SmoothABC
+from .brdf.ashikhmin_materials import ASHIKHMIN_MATERIALS, ashikhmin_material
 from .brdf.ashikhmin_shirley import (
     AshikhminShirley,
     AshikhminShirleyDiffuse,
@@ -7,6 +8,14 @@ from .brdf.ashikhmin_shirley import (
 )
 from .brdf.base import AbstractBRDF, AbstractSum, Scaled, Sum
 from .brdf.cook_torrance import CookTorrance
+from .brdf.facet_scattering import FacetScattering
+from .brdf.generated import (
+    CoupledDiffuse,
+    GeneratedBRDF,
+    GeneratedMetal,
+    HemisphericalReflectance,
+    tabulate_reflectance,
+)
 from .brdf.kirchhoff import KirchhoffBRDF
 from .brdf.lafortune import Lafortune
 from .brdf.lambertian import Lambertian
@@ -17,6 +26,7 @@ from .brdf.phong import BlinnPhongBRDF, Phong
 from .brdf.rough_metal import RoughMetal
 from .brdf.shifted_gamma import ShiftedGammaBRDF
 from .brdf.ward import Ward, WardDuer
+from .checks import energy_excess, reciprocity_error
 from .directions import (
     dot,
     from_frame,
@@ -28,6 +38,7 @@ from .directions import (
     to_half_difference,
     to_spherical,
 )
+from .energy import albedo, largest_albedo
 from .fit_result import FitResult, FitStatus
 from .fresnel import (
     AbstractFresnel,
@@ -39,7 +50,7 @@ from .fresnel import (
     Schlick,
     kappa_from_reflectance,
 )
-from .metrics import albedo, compare, largest_albedo, normalized_l2
+from .metrics import compare, normalized_l2
 from .ndf.base import AbstractIsotropicNDF, AbstractNDF, AbstractVisibleNDF
 from .ndf.beckmann import Beckmann
 from .ndf.blinn_phong import AnisotropicPhong, BlinnPhong
@@ -71,6 +82,7 @@ from .special import log_upper_gamma, upper_gamma
 
 __all__ = [
     "ABC",
+    "ASHIKHMIN_MATERIALS",
     "AbstractBRDF",
     "AbstractFresnel",
     "AbstractIsotropicNDF",
@@ -89,16 +101,21 @@ __all__ = [
     "Conductor",
     "Constant",
     "CookTorrance",
+    "CoupledDiffuse",
     "Dielectric",
     "Ellipsoid",
     "Exponential",
+    "FacetScattering",
     "FitResult",
     "FitStatus",
     "FreeTravel",
     "GaussianCylinder",
     "GaussianMicrofacets",
+    "GeneratedBRDF",
+    "GeneratedMetal",
     "HalfDifferenceGrid",
     "HeightCorrelated",
+    "HemisphericalReflectance",
     "KirchhoffBRDF",
     "Lafortune",
     "Lambertian",
@@ -132,8 +149,10 @@ __all__ = [
     "Ward",
     "WardDuer",
     "albedo",
+    "ashikhmin_material",
     "compare",
     "dot",
+    "energy_excess",
     "facet_area",
     "from_frame",
     "from_half_difference",
@@ -146,10 +165,12 @@ __all__ = [
     "metrics",
     "mixture",
     "normalized_l2",
+    "reciprocity_error",
     "reflect",
     "smith_G1",
     "spherical",
     "tabulate_projected_area",
+    "tabulate_reflectance",
     "to_frame",
     "to_half_difference",
     "to_spherical",

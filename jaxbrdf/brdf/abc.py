@@ -23,7 +23,7 @@ class ABC(AbstractBRDF):
         G = min(1, 2 cos θ_h min(cos θ_i, cos θ_o) / cos θ_d),   F = Dielectric(eta)
 
     Löw, Kronander, Ynnerman & Unger 2012, their microfacet variant, in the normalisation of the published
-    tables, of which `data_loaders.published_parameters("abc", material)` makes such models. The 1/π stands where the
+    tables, of which `data_loaders.published("abc", material)` makes such models. The 1/π stands where the
     microfacet theory has 1/4. `a` ≥ 0 is the height of the lobe, `b` > 0 sets its width √(2/b), `c` ≥ 0 how
     fast it falls, `eta` > 0 is the index of refraction; else ValueError. Nothing keeps the albedo below 1: at
     the normal it is about 8 a F (1 − (1 + b)^{1−c}) / (b (c − 1)). Sampled by half vectors of density ∝ S.

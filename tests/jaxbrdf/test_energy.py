@@ -131,7 +131,7 @@ class Retro(jb.AbstractBRDF):
 
 @pytest.mark.parametrize("kappa", [1e4, 1e6, 1e8])
 def test_a_peak_between_the_nodes_is_found(kappa):
-    """∫ f cos θ_o dω_o = (coth κ − 1/κ) cos θ_i where the lobe ends above the horizon (Mardia & Jupp 2000)."""
+    """∫ f cos θ_o dω_o = (coth κ − 1/κ) cos θ_i if the lobe ends above the horizon (Mardia & Jupp 2000)."""
     theta = np.radians([50.0, 70.0])
     w = jb.spherical(jnp.asarray(theta), 1.0)
     assert not np.any(albedo_by_quadrature(Retro(jnp.array(kappa)), w)[1])
