@@ -14,8 +14,7 @@ these planes. A flat mirror has 1 at every angle.
     with diffuse    eq. 30 with ρ_d = 1: what the facets leave over is scattered, and all light comes back
     Ward            Ward 1992, eq. 5a, ρ_s = 1: falls off, and grows without bound at the very horizon
 
-Reflectances are integrated over slopes of the half vector, 1,000 × 1,000 midpoints to
-6.3 widths each way.
+Reflectances are integrated over slopes of the half vector, 1,000 × 1,000 midpoints to 6.4 widths each way.
 The second table counts, of 10 × 20 directions, those from which the slanted velvet of section 6.4 with
 f_0 = 1 reflects more light than it gets: with the paper's cos θ / σ for the share of facets that are seen,
 which exceeds 1 for this distribution, and with that share at most 1, as everywhere in jaxbrdf.

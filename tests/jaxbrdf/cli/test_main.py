@@ -11,7 +11,9 @@ from jaxbrdf.cli.main import app
 _HEAVY = ("jax", "jaxlib", "numpy", "scipy", "matplotlib", "optimistix", "equinox", "h5py")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["demo", "-h"], ["--version"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["fit", "--help"], ["check", "--help"], ["demo", "-h"], ["--version"]]
+)
 def test_help_imports_nothing_heavy(arguments):
     code = (
         "import sys; from jaxbrdf.cli.main import main\n"
@@ -26,7 +28,7 @@ def test_help_imports_nothing_heavy(arguments):
 
 
 def test_every_command_has_an_example():
-    for command in ("fit", "demo"):
+    for command in ("fit", "check", "demo"):
         assert f"jaxbrdf {command} " in CliRunner().invoke(app, [command, "--help"]).output
 
 
