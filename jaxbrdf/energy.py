@@ -7,26 +7,37 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import per_channel
 from jaxbrdf.brdf.base import AbstractBRDF
-from jaxbrdf.directions import Direction, cos_theta, dot, half_vector, reflect, spherical, to_spherical
+from jaxbrdf.directions import (
+    Direction,
+    as_directions,
+    cos_theta,
+    dot,
+    half_vector,
+    reflect,
+    spherical,
+    to_spherical,
+)
 from jaxbrdf.special import gauss_legendre, safe_divide
 
 _SAMPLES = 6765  # of the model, where quadrature is too coarse; Fibonacci numbers, for `lattice`
 _PROBES = 233  # of the model, to find the peaks that quadrature must not miss
 
 
-def albedo(brdf: AbstractBRDF, wi: Direction) -> Float[Array, "..."]:
+def albedo(brdf: AbstractBRDF, wi: ArrayLike) -> Float[Array, "..."]:
     r"""Directional albedo ∫ f(wi, wo) cos θ_o dω_o over the upper hemisphere: (...), or (..., C).
 
     To 1e-4 for isotropic facets of any roughness from 1e-5 on, at 0 to 89 degrees, and mostly far better, by
     `albedo_by_quadrature`. Where that is too coarse, as for brushed metals, fibres and sharp lobes far off
     the mirror direction, directions that the model draws are taken besides, at some ten times the cost: to
     1e-3, as far as the model's `pdf` is the density of its `sample`. NaN, which a measurement has where it
-    has no sample, counts as dark.
+    has no sample, counts as dark. Raises ValueError for directions that are not unit vectors (outside jit).
     """
+    wi = as_directions(wi, "wi")
     by_quadrature, resolved = albedo_by_quadrature(brdf, wi)
     return by_quadrature if known(resolved) else _refined(brdf, wi, by_quadrature, resolved)
 

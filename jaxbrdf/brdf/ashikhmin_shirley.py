@@ -32,7 +32,7 @@ class AshikhminShirley(AbstractSum):
     exponent_y: Parameter | None = parameter(domain=NON_NEGATIVE, optional=True)
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
+    def parts(self) -> tuple[AbstractBRDF, ...]:
         lobe = AshikhminShirleyLobe(Schlick(self.rho_s), self.exponent_x, self.exponent_y)
         return AshikhminShirleyDiffuse(self.rho_d, self.rho_s), lobe
 

@@ -99,44 +99,44 @@ class AbstractBRDF(Parametric):
 class AbstractSum(AbstractBRDF):
     """A reflectance that is a sum of others, which it makes of its parameters.
 
-    Sampled by drawing one of its terms, with a probability in proportion to their weights.
+    Sampled by drawing one of its parts, with a probability in proportion to their weights.
     """
 
     @property
     @abstractmethod
-    def terms(self) -> tuple[AbstractBRDF, ...]:
+    def parts(self) -> tuple[AbstractBRDF, ...]:
         """The reflectances that are summed."""
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
-        return reduce(add, (term._reflectance(wi, wo) for term in self.terms))
+        return reduce(add, (part._reflectance(wi, wo) for part in self.parts))
 
     def _sample(self, u: Float[Array, "... 2"], wo: Direction) -> Direction:
         index, u = pick_by_first(self._shares(wo), u)
-        each = jnp.stack([term._sample(u, wo) for term in self.terms])
+        each = jnp.stack([part._sample(u, wo) for part in self.parts])
         return jnp.take_along_axis(each, index[None, ..., None], axis=0)[0]
 
     def _pdf(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
-        densities = jnp.stack([term._pdf(wi, wo) for term in self.terms], axis=-1)
+        densities = jnp.stack([part._pdf(wi, wo) for part in self.parts], axis=-1)
         return jnp.sum(self._shares(wo) * densities, axis=-1)
 
     def _weight(self, wo: Direction) -> Float[Array, "..."]:
-        return reduce(add, (term._weight(wo) for term in self.terms))
+        return reduce(add, (part._weight(wo) for part in self.parts))
 
     def _shares(self, wo: Direction) -> Float[Array, "... n"]:
-        """The probability of each term; all alike where none reflects anything."""
-        weights = jnp.stack([term._weight(wo) for term in self.terms], axis=-1)
+        """The probability of each part; all alike where none reflects anything."""
+        weights = jnp.stack([part._weight(wo) for part in self.parts], axis=-1)
         total = jnp.sum(weights, axis=-1, keepdims=True)
-        return jnp.where(total > 0, safe_divide(weights, total), 1 / len(self.terms))
+        return jnp.where(total > 0, safe_divide(weights, total), 1 / len(self.parts))
 
 
 class Sum(AbstractSum):
     """The sum of several reflectances; `a + b` makes one."""
 
-    summands: tuple[AbstractBRDF, ...]
+    terms: tuple[AbstractBRDF, ...]
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
-        return self.summands
+    def parts(self) -> tuple[AbstractBRDF, ...]:
+        return self.terms
 
 
 class Scaled(AbstractBRDF):

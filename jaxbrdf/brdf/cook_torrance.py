@@ -27,6 +27,6 @@ class CookTorrance(AbstractSum):
     shadowing: AbstractShadowing = Uncorrelated()
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
+    def parts(self) -> tuple[AbstractBRDF, ...]:
         facets = Microfacet(self.ndf, self.fresnel, self.shadowing)
         return Lambertian(self.rho_d), Scaled(self.rho_s * (4 / jnp.pi), facets)

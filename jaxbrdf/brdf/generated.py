@@ -210,7 +210,7 @@ class GeneratedBRDF(AbstractSum):
         self.reflectance = tabulate_reflectance(ndf, shadowing) if reflectance is None else reflectance
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
+    def parts(self) -> tuple[AbstractBRDF, ...]:
         facets = Microfacet(self.ndf, Schlick(self.f0), self.shadowing)
         return CoupledDiffuse(self.reflectance, self.f0, self.rho_d), facets
 
@@ -241,6 +241,6 @@ class GeneratedMetal(AbstractSum):
         self.reflectance = tabulate_reflectance(ndf, shadowing) if reflectance is None else reflectance
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
+    def parts(self) -> tuple[AbstractBRDF, ...]:
         facets = Microfacet(self.ndf, Schlick(self.f0), self.shadowing)
         return CoupledDiffuse(self.reflectance, self.f0, self.f0, self.f0), facets

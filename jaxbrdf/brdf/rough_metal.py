@@ -28,7 +28,7 @@ class RoughMetal(AbstractSum):
     fresnel: AbstractFresnel  # type: ignore[misc]  # `parameter()` is no default: both are required
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
+    def parts(self) -> tuple[AbstractBRDF, ...]:
         return (Microfacet(self.ndf, self.fresnel, FreeTravel(self.smoothness)),)
 
     @property

@@ -27,8 +27,8 @@ class ShiftedGammaBRDF(AbstractSum):
     shadowing: AbstractShadowing = Uncorrelated()
 
     @property
-    def terms(self) -> tuple[AbstractBRDF, ...]:
-        return self.as_cook_torrance(self.ndf).terms
+    def parts(self) -> tuple[AbstractBRDF, ...]:
+        return self.as_cook_torrance(self.ndf).parts
 
     @property
     def ndf(self) -> ShiftedGamma:

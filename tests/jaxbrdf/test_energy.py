@@ -66,7 +66,7 @@ def beckmann_albedo(alpha_x, alpha_y, w, n=1200, reach=5.0):
     seen = (cos > 0) & (wo[..., 2] > 0)
 
     def masking(v):
-        r = np.hypot(alpha_x * v[..., 0], alpha_y * v[..., 1]) + 1e-300
+        r = np.hypot(alpha_x * v[..., 0], alpha_y * v[..., 1]) + 1e-100  # whose square is a number
         a = v[..., 2] / r
         return v[..., 2] / (v[..., 2] * (1 + erf(a)) / 2 + r * np.exp(-(a**2)) / (2 * np.sqrt(np.pi)))
 

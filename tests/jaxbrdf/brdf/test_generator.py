@@ -215,7 +215,7 @@ def test_half_the_light_left_over_is_scattered_by_a_grey_diffuse_term():
 
 def test_a_metal_that_reflects_more_than_f0_has_no_diffuse_term():
     """Towards grazing incidence F exceeds f_0: (f_0 − R)+ = 0; a smooth metal has none at all."""
-    diffuse, _ = metal(ROUND, jnp.array(0.2)).terms
+    diffuse, _ = metal(ROUND, jnp.array(0.2)).parts
     grazing, normal = OBLIQUE[-1], OBLIQUE[0]
     assert table(ROUND)(0.2, grazing) > 0.2
     assert evaluate(diffuse, grazing, normal) == 0
