@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import per_channel
 from jaxbrdf.brdf.base import AbstractBRDF
+from jaxbrdf.brdf.measured import MeasuredBRDF
 from jaxbrdf.directions import (
     Direction,
     as_directions,
@@ -38,6 +39,7 @@ def albedo(brdf: AbstractBRDF, wi: ArrayLike) -> Float[Array, "..."]:
     has no sample, counts as dark. Raises ValueError for directions that are not unit vectors (outside jit).
     """
     wi = as_directions(wi, "wi")
+    brdf = brdf.anonymous if isinstance(brdf, MeasuredBRDF) else brdf
     by_quadrature, resolved = albedo_by_quadrature(brdf, wi)
     return by_quadrature if known(resolved) else _refined(brdf, wi, by_quadrature, resolved)
 
@@ -76,12 +78,15 @@ def lattice(count: int) -> Float[np.ndarray, "count 2"]:
 
 def _for_each(function: Callable, brdf: AbstractBRDF, wi: Direction) -> Any:
     """What `function` makes of one channel and one direction, for all: leaves (...), or (..., C)."""
+    flat = wi.reshape(-1, 3)
+    count, at_once = len(flat), max(1, min(4, len(flat)))
+    missing = jnp.broadcast_to(flat[-1:], (-count % at_once, 3))  # a remainder would be compiled once more
 
     def one_channel(brdf, w):
-        return jax.lax.map(lambda one: function(brdf, one), w, batch_size=4)
+        return jax.lax.map(lambda one: function(brdf, one), w, batch_size=at_once)
 
-    found = per_channel(one_channel)(brdf, wi.reshape(-1, 3))
-    return jax.tree.map(lambda leaf: leaf.reshape(*wi.shape[:-1], *leaf.shape[1:]), found)
+    found = per_channel(one_channel)(brdf, jnp.concatenate([flat, missing]))
+    return jax.tree.map(lambda leaf: leaf[:count].reshape(*wi.shape[:-1], *leaf.shape[1:]), found)
 
 
 @eqx.filter_jit
@@ -96,12 +101,11 @@ def _refined(brdf: AbstractBRDF, wi: Direction, by_quadrature: Array, resolved: 
 
 def _quadrature(brdf: AbstractBRDF, wi: Direction) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     wo, d_omega_o = _nodes(wi)
-    light = _light(brdf, wi, wo)
-    even, odd = (2 * jnp.sum((light * d_omega_o)[:, start::2]) for start in (0, 1))
+    light, probes = jnp.split(_light(brdf, wi, jnp.concatenate([wo, _drawn(brdf, wi, _PROBES)])), [len(wo)])
+    even, odd = (2 * jnp.sum((light * d_omega_o)[meridian::2]) for meridian in (0, 1))
     total = (even + odd) / 2
     agree = jnp.abs(even - odd) <= 4e-3 * jnp.abs(total)
-    highest = jnp.max(_light(brdf, wi, _drawn(brdf, wi, _PROBES)))
-    return total, agree & (highest <= 4 * jnp.max(light))
+    return total, agree & (jnp.max(probes) <= 4 * jnp.max(light))
 
 
 def _with_samples(brdf: AbstractBRDF, wi: Direction) -> Float[Array, ""]:
@@ -110,12 +114,12 @@ def _with_samples(brdf: AbstractBRDF, wi: Direction) -> Float[Array, ""]:
     q and p being the densities of the nodes and of the samples, each does what it does better: the balance
     heuristic of Veach & Guibas 1995, with a preference for the samples.
     """
-    wo, d_omega_o = _nodes(wi)
-    drawn = _drawn(brdf, wi, _SAMPLES)
-    by_quadrature = _light(brdf, wi, wo) * d_omega_o / (1 + 3 * _density(brdf, wi, wo) * _spread(wi, wo))
-    spread = _spread(wi, drawn)
-    by_samples = _light(brdf, wi, drawn) * 3 * spread / (1 + 3 * _density(brdf, wi, drawn) * spread)
-    return jnp.sum(by_quadrature) + jnp.mean(by_samples)
+    nodes, d_omega_o = _nodes(wi)
+    wo = jnp.concatenate([nodes, _drawn(brdf, wi, _SAMPLES)])
+    spread = _spread(wi, wo)
+    light = _light(brdf, wi, wo) / (1 + 3 * _density(brdf, wi, wo) * spread)
+    n = len(nodes)
+    return jnp.sum(light[:n] * d_omega_o) + jnp.mean(light[n:] * 3 * spread[n:])
 
 
 def _light(brdf: AbstractBRDF, wi: Direction, wo: Direction) -> Float[Array, "..."]:
@@ -123,8 +127,8 @@ def _light(brdf: AbstractBRDF, wi: Direction, wo: Direction) -> Float[Array, "..
     return jnp.nan_to_num(brdf(jnp.broadcast_to(wi, wo.shape), wo)) * cos_theta(wo)
 
 
-def _nodes(wi: Direction) -> tuple[Direction, Float[Array, "r phi"]]:
-    """Directions wo (r, φ, 3) and their dω_o: θ_h = θ_max r³ by Gauss–Legendre, φ_h in equal steps.
+def _nodes(wi: Direction) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
+    """Directions wo and their dω_o: θ_h = θ_max r³ by Gauss–Legendre, φ_h in equal steps; φ_h runs first.
 
     They begin a quarter of a step after φ_i, so that no symmetry makes even and odd ones alike.
     """
@@ -134,7 +138,8 @@ def _nodes(wi: Direction) -> tuple[Direction, Float[Array, "r phi"]]:
     _, phi_i = to_spherical(wi)
     h = spherical(_last_theta_h(wi, phi) * r**3, phi_i + phi)
     wo = reflect(jnp.broadcast_to(wi, h.shape), h)
-    return wo, _spread(wi, wo) * weights / n_phi
+    d_omega_o = _spread(wi, wo) * weights / n_phi
+    return wo.reshape(-1, 3), d_omega_o.ravel()
 
 
 def _spread(wi: Direction, wo: Direction) -> Float[Array, "..."]:

@@ -1,5 +1,6 @@
 r"""Measured isotropic reflectance: a table over half and difference angles, and its two slices."""
 
+from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -56,6 +57,11 @@ class MeasuredBRDF(AbstractBRDF):
         """(H, D, P): whether both directions at a cell's centre are above the horizon."""
         grid = self.grid
         return _above(grid.theta_h[:, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])
+
+    @property
+    def anonymous(self) -> "MeasuredBRDF":
+        """The same without its name, for which jit would compile what it has compiled for another."""
+        return replace(self, name="")
 
     def slices(self) -> Slices:
         """The backscattering and the mirror slice; of a mapped file only their pages are read."""

@@ -1,6 +1,5 @@
 """The work of `jaxbrdf check`: whether fits, measurements and published models obey physics."""
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,8 +129,8 @@ def _class_names(brdf: AbstractBRDF) -> str:
 def examine(subject: Subject) -> dict[str, Any]:
     """All checks of one reflectance, as plain numbers; each list with one number for each channel."""
     brdf = subject.brdf
-    if isinstance(brdf, MeasuredBRDF):  # a name is part of what is compiled, and every file has another
-        brdf = dataclasses.replace(brdf, name="")
+    if isinstance(brdf, MeasuredBRDF):
+        brdf = brdf.anonymous
     document = {
         "name": subject.name,
         "kind": subject.kind,
