@@ -7,14 +7,16 @@ which compiles, is timed apart. Shown are nanoseconds a pair (the fastest of `--
 the Lambertian reflectance of the same precision, and the seconds of compilation. Where Mitsuba 3 has the
 model (its mono variant, vectorised through LLVM, single precision; its value holds the cosine besides), it
 evaluates the same directions in the same run, and the ratio of our single precision to it is shown; the
-columns stay empty where mitsuba or LLVM is missing. Models whose projected area is an integral are shown
-as they are and with it tabulated.
+columns stay empty where mitsuba is missing. Mitsuba takes the LLVM that DRJIT_LIBLLVM_PATH names, which must
+be 16 or newer for its rough conductor. Some models whose projected area is an integral are shown with it
+tabulated besides. What sums over facets at every pair gets fewer pairs, see FEWER.
 """
 
 import argparse
 import csv
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -29,35 +31,89 @@ import jaxbrdf as jb
 
 BLOCK = 1_000_000
 COPPER = (0.2, 3.9)  # η and κ
-SGD = jb.ShiftedGamma(0.1, 0.6)
 METAL = jb.Conductor(*COPPER)
-IMAGE = np.add.outer(np.hanning(64), np.hanning(64))
+GGX = jb.TrowbridgeReitz(0.2)
+SGD = jb.ShiftedGamma(0.1, 0.6)
+SGD_MASKING = jb.ShiftedGammaShadowing(2.6, 1e-7, 47.8)
+BRUSHED = jb.GaussianMicrofacets(0.1, 0.3)
+
+
+def facets(ndf: jb.AbstractNDF, shadowing: jb.AbstractShadowing | None = None) -> jb.Microfacet:
+    return jb.Microfacet(ndf, METAL, shadowing or jb.Uncorrelated())
+
+
+def measured() -> jb.MeasuredBRDF:
+    """A table of the size of MERL's."""
+    return jb.MeasuredBRDF(
+        np.random.default_rng(0).uniform(size=(90, 90, 180, 1)), np.ones(1), jb.merl_grid()
+    )
+
+
+def kirchhoff() -> jb.KirchhoffBRDF:
+    tables = np.random.default_rng(0).uniform(size=(3, 257, 257))
+    return jb.KirchhoffBRDF(tables, np.array([0.4, 0.6, 0.9]), 0.55, METAL)
+
+
+def tabulated_ndf() -> jb.TabulatedNDF:
+    """A table of 257 × 257, as of a measured surface."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 257), np.linspace(-1, 1, 257))
+    return jb.TabulatedNDF(np.exp(-20 * (x**2 + 3 * y**2)))
+
 
 MODELS: dict[str, Callable[[], jb.AbstractBRDF]] = {
     "Lambertian": lambda: jb.Lambertian(0.5),
-    "Microfacet, GGX, conductor": lambda: jb.Microfacet(
-        jb.TrowbridgeReitz(0.2), METAL, jb.HeightCorrelated()
+    "OrenNayar": lambda: jb.OrenNayar(0.5, 0.3),
+    "Phong": lambda: jb.Phong(50.0),
+    "BlinnPhongBRDF": lambda: jb.BlinnPhongBRDF(50.0),
+    "Lafortune": lambda: jb.Lafortune(20.0, -1.0),
+    "Ward": lambda: jb.Ward(0.1, 0.3),
+    "WardDuer": lambda: jb.WardDuer(0.1, 0.3),
+    "AshikhminShirley": lambda: jb.AshikhminShirley(0.4, 0.05, 1000.0, 20.0),
+    "ABC": lambda: jb.ABC(32.7, 706.0, 1.95, 5.44),
+    "SmoothABC": lambda: jb.SmoothABC(46.0, 484.0, 1.33, 3.41),
+    "RoughMetal": lambda: jb.RoughMetal(3.0, METAL),
+    "MeasuredBRDF": measured,
+    "KirchhoffBRDF": kirchhoff,
+    "KirchhoffBRDF, table of σ": lambda: replace(
+        kirchhoff(), ndf=jb.tabulate_projected_area(kirchhoff().mean_ndf)
     ),
-    "Microfacet, Beckmann, conductor": lambda: jb.Microfacet(jb.Beckmann(0.2), METAL),
-    "Microfacet, ellipsoid": lambda: jb.Microfacet(jb.Ellipsoid(0.1, 0.3, 0.1, 0.1, 0.5), METAL),
-    "Microfacet, V-cavity": lambda: jb.Microfacet(jb.Beckmann(0.2), METAL, jb.VCavity()),
-    "Microfacet, Student-t": lambda: jb.Microfacet(jb.StudentT(0.2, 3.0), METAL),
-    "Microfacet, Student-t, table of σ": lambda: jb.Microfacet(
-        jb.tabulate_projected_area(jb.StudentT(0.2, 3.0)), METAL
-    ),
-    "shifted gamma": lambda: jb.ShiftedGammaBRDF(0.1, 0.3, 0.1, 0.6, 0.5, 0.1),
-    "shifted gamma, table of σ": lambda: jb.CookTorrance(
+    "Microfacet, GGX, correlated": lambda: facets(GGX, jb.HeightCorrelated()),
+    "Microfacet, GGX": lambda: facets(GGX),
+    "Microfacet, Beckmann": lambda: facets(jb.Beckmann(0.2)),
+    "Microfacet, V-cavity": lambda: facets(jb.Beckmann(0.2), jb.VCavity()),
+    "Microfacet, Ellipsoid": lambda: facets(jb.Ellipsoid(0.1, 0.3, 0.1, 0.1, 0.5)),
+    "Microfacet, BlinnPhong": lambda: facets(jb.BlinnPhong(50.0)),
+    "Microfacet, BlinnPhong, table of σ": lambda: facets(jb.tabulate_projected_area(jb.BlinnPhong(50.0))),
+    "Microfacet, StudentT": lambda: facets(jb.StudentT(0.2, 3.0)),
+    "Microfacet, StudentT, table of σ": lambda: facets(jb.tabulate_projected_area(jb.StudentT(0.2, 3.0))),
+    "Microfacet, Exponential": lambda: facets(jb.Exponential(0.2)),
+    "Microfacet, Velvet": lambda: facets(jb.Velvet(0.5)),
+    "Microfacet, Gaussian": lambda: facets(BRUSHED),
+    "Microfacet, Gaussian, table of σ": lambda: facets(jb.tabulate_projected_area(BRUSHED)),
+    "Microfacet, VGrooves": lambda: facets(jb.VGrooves(0.7, 0.1)),
+    "GeneratedBRDF, Gaussian": lambda: jb.GeneratedBRDF(BRUSHED, 0.05, 0.4),
+    "GeneratedMetal, Gaussian": lambda: jb.GeneratedMetal(BRUSHED, 0.9),
+    "ShiftedGammaBRDF": lambda: jb.ShiftedGammaBRDF(0.1, 0.3, 0.1, 0.6, 0.5, 0.1),
+    "CookTorrance, ShiftedGamma, table of σ": lambda: jb.CookTorrance(
         0.1, 0.3, jb.tabulate_projected_area(SGD), jb.LinearSchlick(0.5, 0.1)
     ),
-    "shifted gamma, closed masking": lambda: jb.ShiftedGammaBRDF(
-        0.1, 0.3, 0.1, 0.6, 0.5, 0.1, jb.ShiftedGammaShadowing(2.6, 1e-7, 47.8)
+    "ShiftedGammaBRDF, closed masking": lambda: jb.ShiftedGammaBRDF(
+        0.1, 0.3, 0.1, 0.6, 0.5, 0.1, SGD_MASKING
     ),
+    "Microfacet, AnisotropicPhong": lambda: facets(jb.AnisotropicPhong(100.0, 20.0)),
+    "Microfacet, TabulatedNDF": lambda: facets(jb.tabulate_projected_area(tabulated_ndf())),
+    "FacetScattering": lambda: jb.FacetScattering(jb.Beckmann(0.5), jb.Lambertian(0.5)),
+}
+FEWER = {  # the share of the pairs for what is a sum over facets at each pair
+    "FacetScattering": 1e-3,
+    "KirchhoffBRDF": 1e-3,
+    "Microfacet, AnisotropicPhong": 1e-3,
 }
 
 MITSUBA = {  # what the same model is there
     "Lambertian": {"type": "diffuse", "reflectance": 0.5},
-    "Microfacet, GGX, conductor": {"distribution": "ggx"},
-    "Microfacet, Beckmann, conductor": {"distribution": "beckmann"},
+    "Microfacet, GGX": {"distribution": "ggx"},
+    "Microfacet, Beckmann": {"distribution": "beckmann"},
 }
 
 
@@ -132,18 +188,19 @@ def mitsuba_is_there() -> bool:
         mitsuba.set_variant("llvm_ad_mono")
     except ImportError:
         return False
-    return True
+    import drjit
+
+    return drjit.detail.llvm_version() >= (16,)  # an older one cannot compile the rough conductor
 
 
 def measure(names: list[str], pairs: int, repeat: int) -> list[dict]:
     wi, wo = directions(pairs)
     there, rows = mitsuba_is_there(), []
     for name in track(names, description="models", console=Console(stderr=True)):
-        row = {"model": name}
+        row, brdf = {"model": name}, MODELS[name]()
         for dtype in (np.float32, np.float64):
-            row[f"compile {dtype.__name__}"], row[dtype.__name__] = ours(
-                MODELS[name](), wi, wo, dtype, repeat
-            )
+            n = int(pairs * FEWER.get(name, 1))
+            row[f"compile {dtype.__name__}"], row[dtype.__name__] = ours(brdf, wi[:n], wo[:n], dtype, repeat)
         row["mitsuba"] = theirs(MITSUBA[name], wi, wo, repeat) if there and name in MITSUBA else np.nan
         rows.append(row)
     return rows

@@ -4,6 +4,9 @@ A direction is an array (..., 3) of unit vectors, z along the macro-normal n; le
 Angles are in radians, φ in (−π, π]. At the poles, where φ is undefined, φ is 0 and its gradient 0.
 """
 
+from functools import reduce
+from operator import add
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import floats
-from jaxbrdf.special import safe_arctan2, safe_hypot, safe_normalize
+from jaxbrdf.special import safe_arctan2, safe_divide, safe_hypot, safe_sqrt
 
 Direction = Float[Array, "... 3"]
 Angle = Float[Array, "..."]
@@ -55,9 +58,19 @@ def same_rank(wi: Direction, wo: Direction) -> tuple[Direction, Direction]:
     return wi.reshape((1,) * (rank - wi.ndim) + wi.shape), wo.reshape((1,) * (rank - wo.ndim) + wo.shape)
 
 
-def dot(a: Direction, b: Direction) -> Angle:
-    """a · b over the last axis."""
-    return jnp.sum(a * b, axis=-1)
+def dot(a: Float[Array, "... n"], b: Float[Array, "... n"]) -> Float[Array, "..."]:
+    """a · b over the last axis, which should be short.
+
+    Written out, as is all that works on the components of directions: XLA then fuses a whole reflectance into
+    one loop, where a reduction over three numbers is a pass over memory of its own.
+    """
+    return reduce(add, (a[..., i] * b[..., i] for i in range(a.shape[-1])))
+
+
+def safe_normalize(v: Float[Array, "... n"]) -> Float[Array, "... n"]:
+    """v / ‖v‖ over the last axis; the zero vector, with gradient 0, where v = 0."""
+    length = safe_sqrt(dot(v, v))
+    return jnp.stack([safe_divide(v[..., i], length) for i in range(v.shape[-1])], axis=-1)
 
 
 def cos_theta(w: Direction) -> Angle:
@@ -84,6 +97,11 @@ def spherical(theta, phi) -> Direction:
 def to_spherical(w: Direction) -> tuple[Angle, Angle]:
     """(θ, φ) of a direction, θ in [0, π]; accurate and with finite gradients at the poles."""
     return jnp.arctan2(safe_hypot(w[..., 0], w[..., 1]), w[..., 2]), safe_arctan2(w[..., 1], w[..., 0])
+
+
+def or_normal(w: Direction) -> Direction:
+    """w, or the normal where w is not above the horizon."""
+    return jnp.where(above_horizon(cos_theta(w))[..., None], w, jnp.array(NORMAL, w.dtype))
 
 
 def half_vector(wi: Direction, wo: Direction) -> Direction:

@@ -7,17 +7,25 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax.scipy.special import erfc
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import POSITIVE, Parameter, Parametric, floats, in_chunks, parameter, per_channel
-from jaxbrdf.directions import Direction, above_horizon, as_directions, cos_theta, same_rank
+from jaxbrdf.directions import (
+    Direction,
+    above_horizon,
+    as_directions,
+    cos_theta,
+    dot,
+    or_normal,
+    safe_normalize,
+    same_rank,
+)
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.special import (
     gauss_legendre,
     safe_arccos,
     safe_arctan2,
     safe_divide,
-    safe_normalize,
     safe_sqrt,
 )
 
@@ -42,13 +50,8 @@ class AbstractShadowing(Parametric):
 def _shadow(models, wi, wo):
     """Term and distribution may both carry channels. No term meets a direction below the horizon, but n."""
     shadowing, ndf = models
-    above_i, above_o = above_horizon(cos_theta(wi)), above_horizon(cos_theta(wo))
-    G = shadowing._shadow(ndf, _or_normal(wi, above_i), _or_normal(wo, above_o))
-    return jnp.where(above_i & above_o, G, 0)
-
-
-def _or_normal(w: Direction, above: Bool[Array, "..."]) -> Direction:
-    return jnp.where(above[..., None], w, jnp.zeros_like(w).at[..., 2].set(1))
+    G = shadowing._shadow(ndf, or_normal(wi), or_normal(wo))
+    return jnp.where(above_horizon(cos_theta(wi)) & above_horizon(cos_theta(wo)), G, 0)
 
 
 def smith_G1(ndf: AbstractNDF, w: Direction) -> Float[Array, "..."]:
@@ -112,7 +115,7 @@ def _azimuth_between(wi: Direction, wo: Direction) -> Float[Array, "..."]:
     """
     p, q = safe_normalize(wi[..., :2]), safe_normalize(wo[..., :2])
     sine = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
-    return safe_arctan2(sine, jnp.sum(p * q, axis=-1))
+    return safe_arctan2(sine, dot(p, q))
 
 
 class VCavity(AbstractShadowing):
@@ -126,9 +129,13 @@ class VCavity(AbstractShadowing):
     """
 
     def _shadow(self, ndf: AbstractNDF, wi: Direction, wo: Direction) -> Float[Array, "..."]:
-        cos_i, cos_o = cos_theta(wi), cos_theta(wo)
-        q = jnp.sum((wi + wo) ** 2, axis=-1)
-        return jnp.minimum(1, 4 * (cos_i + cos_o) * jnp.minimum(cos_i, cos_o) / q)
+        return v_cavity(wi, wo)
+
+
+def v_cavity(wi: Direction, wo: Direction) -> Float[Array, "..."]:
+    """G of `VCavity` for directions above the horizon."""
+    cos_i, cos_o, both = cos_theta(wi), cos_theta(wo), wi + wo
+    return jnp.minimum(1, 4 * (cos_i + cos_o) * jnp.minimum(cos_i, cos_o) / dot(both, both))
 
 
 class FreeTravel(AbstractShadowing):

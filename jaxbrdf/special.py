@@ -5,7 +5,7 @@ The safe_* functions give a singular point a stated value and a gradient of zero
 """
 
 import math
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
 from typing import Any
 
 import jax
@@ -57,11 +57,6 @@ def log1p_over(x):
     return jnp.where(positive, jnp.log1p(x) / jnp.where(positive, x, 1), 1)
 
 
-def safe_normalize(v):
-    """v / ‖v‖ over the last axis; the zero vector, with gradient 0, where v = 0."""
-    return safe_divide(v, safe_sqrt(jnp.sum(v * v, axis=-1, keepdims=True)))
-
-
 def fold(x):
     """(|x|, min(x, 0)), with the gradients of x > 0 at x = 0: one side's, where JAX would mix the two."""
     positive = x >= 0
@@ -90,10 +85,14 @@ def lagrange_stencil(
     first = jnp.floor(position).astype(int) - (ORDER // 2 - 1)
     if not periodic:
         first = jnp.clip(first, 0, count - ORDER)
-    x = (position - first - (ORDER - 1) / 2)[..., None]
-    powers = jnp.concatenate([x**k for k in range(ORDER)], axis=-1)
+    x = position - first - (ORDER - 1) / 2
     nodes = jnp.stack([first + k for k in range(ORDER)], axis=-1)
-    return nodes % count, powers @ jnp.asarray(_LAGRANGE.T, powers.dtype)
+    return nodes % count, jnp.stack([polynomial(c, x) for c in _LAGRANGE], axis=-1)
+
+
+def polynomial(coefficients, x):
+    """Σ c_k x^k by Horner's rule."""
+    return reduce(lambda value, c: value * x + float(c), coefficients[::-1][1:], float(coefficients[-1]))
 
 
 @lru_cache

@@ -4,6 +4,9 @@ import importlib.util
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+import jaxbrdf as jb
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "benchmarks"
 
@@ -15,6 +18,21 @@ def load(name: str):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.mark.parametrize("script", sorted(SCRIPTS.glob("*.py")), ids=lambda path: path.stem)
+def test_every_script_says_how_it_is_run_and_what_it_found(script):
+    assert f"    python benchmarks/{script.name}" in load(script.stem).__doc__
+    assert f"## {script.name}: " in (SCRIPTS / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_reflectance_is_timed():
+    timed = " ".join(load("evaluate").MODELS)
+    parts = {"AshikhminShirleyLobe", "AshikhminShirleyDiffuse", "CoupledDiffuse"}
+    kinds = {name for name in dir(jb) if isinstance(getattr(jb, name), type)}
+    kinds = {name for name in kinds if issubclass(getattr(jb, name), jb.AbstractBRDF)}
+    general = {"AbstractBRDF", "AbstractSum", "Sum", "Scaled"}
+    assert [name for name in sorted(kinds - general - parts) if name not in timed] == []
 
 
 def test_merl_error_counts_materials_and_channels(capsys, tmp_path):

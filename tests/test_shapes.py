@@ -127,6 +127,9 @@ models = {
         0.1, 0.2, 0.1, rgb, 0.5, 0.1, jb.ShiftedGammaShadowing(2.0, 0.5, 6.0)),
     "TabulatedArea": jb.CookTorrance(rgb, 0.2, jb.tabulate_projected_area(sgd), fresnel),
     "TabulatedNDF": jb.CookTorrance(0.1, 0.2, table, fresnel),
+    "GaussianMicrofacets": jb.Microfacet(jb.GaussianMicrofacets(0.1, 0.3), jb.Constant(rgb)),
+    "AnisotropicPhong": jb.Microfacet(jb.AnisotropicPhong(50.0, 10.0), jb.Constant(rgb)),
+    "FacetScattering": jb.FacetScattering(jb.Beckmann(0.3), jb.Lambertian(0.5), nodes=256),
     "MeasuredBRDF": jb.MeasuredBRDF(np.ones((90, 90, 180, 3)), np.ones(3), jb.merl_grid()),
 }
 for name, model in models.items():
@@ -144,7 +147,7 @@ def test_360_000_pairs_of_directions_stay_under_2_gb():
     run = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     peaks = {name: int(peak) / 1e9 for name, peak in (line.split() for line in run.stdout.splitlines())}
-    assert len(peaks) == 7
+    assert len(peaks) == 10
     assert max(peaks.values()) < 2, peaks
 
 

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import NON_NEGATIVE, POSITIVE, Parameter, Range, parameter
-from jaxbrdf.brdf.base import AbstractBRDF, both_above
+from jaxbrdf.brdf.base import AbstractBRDF, both_above, cosine_product
 from jaxbrdf.brdf.microfacet import typical_reflectance
-from jaxbrdf.directions import Direction, above_horizon, cos_theta, dot, half_vector, reflect
+from jaxbrdf.directions import Direction, cos_theta, dot, half_vector, or_normal, reflect
 from jaxbrdf.fresnel import Dielectric
+from jaxbrdf.shadowing import v_cavity
 from jaxbrdf.special import safe_divide, safe_hypot, safe_sqrt
 
 
@@ -96,17 +97,14 @@ def _one_minus_cos(h: Direction) -> Float[Array, "..."]:
 
 
 def _groove_visibility(wi: Direction, wo: Direction) -> Float[Array, "..."]:
-    """G / (cos θ_i cos θ_o), G that of `VCavity`: finite where one cosine vanishes; 0 below the horizon."""
-    above = above_horizon(cos_theta(wi)) & above_horizon(cos_theta(wo))
-    cos_i, cos_o = (jnp.where(above, cos_theta(w), 1) for w in (wi, wo))
-    q = jnp.where(above, jnp.sum((wi + wo) ** 2, axis=-1), 1)
-    lower, upper = jnp.minimum(cos_i, cos_o), jnp.maximum(cos_i, cos_o)
-    return jnp.where(above, jnp.minimum(1 / lower, 4 * (cos_i + cos_o) / q) / upper, 0)
+    """G / (cos θ_i cos θ_o), G that of `VCavity`; 0 below the horizon."""
+    G = v_cavity(or_normal(wi), or_normal(wo))
+    return jnp.where(both_above(wi, wo), G / cosine_product(wi, wo), 0)
 
 
 def _deviation2(wi: Direction, wo: Direction) -> Float[Array, "..."]:
     """‖D_p‖²."""
-    return jnp.sum((wi + wo)[..., :2] ** 2, axis=-1)
+    return (wi[..., 0] + wo[..., 0]) ** 2 + (wi[..., 1] + wo[..., 1]) ** 2
 
 
 def _largest_deviation2(wo: Direction) -> Float[Array, "..."]:

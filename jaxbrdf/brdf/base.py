@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import Parameter, Parametric, channel_count, parameter, per_channel
 from jaxbrdf.directions import (
-    NORMAL,
     Direction,
     above_horizon,
     as_directions,
     as_floats,
     cos_theta,
+    or_normal,
     same_rank,
 )
 from jaxbrdf.ndf.base import pick
@@ -48,7 +48,7 @@ class AbstractBRDF(Parametric):
         and each is as likely. Some directions may lie below the horizon, where nothing is reflected. For a wo
         below the horizon a direction is drawn as for the normal.
         """
-        wo = _or_normal(as_directions(wo, "wo"))
+        wo = or_normal(as_directions(wo, "wo"))
         u = _points(u, wo)
         shape = jnp.broadcast_shapes(u.shape[:-1], wo.shape[:-1])
         u, wo = jnp.broadcast_to(u, (*shape, 2)), jnp.broadcast_to(wo, (*shape, 3))
@@ -66,7 +66,7 @@ class AbstractBRDF(Parametric):
         """
         wi, wo = jnp.broadcast_arrays(*same_rank(as_directions(wi, "wi"), as_directions(wo, "wo")))
         above = both_above(wi, wo)
-        density = per_channel(type(self)._pdf)(self, _or_normal(wi), _or_normal(wo))
+        density = per_channel(type(self)._pdf)(self, or_normal(wi), or_normal(wo))
         if channel_count(self) is not None:
             density = jnp.mean(density, axis=-1)
         return jnp.where(above, density, 0)
@@ -178,11 +178,6 @@ def pick_by_first(weights: Float[Array, "... n"], u: Float[Array, "... 2"]):
     """An index drawn by u_1 with probability ∝ weights, and u with what is left of u_1."""
     index, rest = pick(weights, u[..., 0])
     return index, jnp.stack([rest, u[..., 1]], axis=-1)
-
-
-def _or_normal(w: Direction) -> Direction:
-    """w, or the normal where w is not above the horizon."""
-    return jnp.where(above_horizon(cos_theta(w))[..., None], w, jnp.array(NORMAL, w.dtype))
 
 
 def _points(u: ArrayLike, wo: Direction) -> Float[Array, "... 2"]:

@@ -22,13 +22,14 @@ from jaxbrdf.fresnel import Schlick
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.tabulated_area import (
     TabulatedArea,
+    interpolate,
     polar_nodes,
     polar_position,
     tabulate_projected_area,
 )
 from jaxbrdf.quadrature import hemisphere
 from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
-from jaxbrdf.special import ORDER, lagrange_stencil, safe_arctan2, safe_divide, safe_sqrt
+from jaxbrdf.special import ORDER, safe_divide, safe_sqrt
 
 _SHARE = Domain(0.0, 1.0)
 
@@ -53,24 +54,9 @@ class HemisphericalReflectance(eqx.Module):
 
     def _at(self, f0: Float[Array, ""], w: Direction) -> Float[Array, "..."]:
         """R(w) by local polynomials of degree 5, for one channel; that of the horizon below it."""
-        _, polar, azimuths = self.values.shape
-        position = polar_position(jnp.maximum(cos_theta(w), 0), polar, self.grazing)
-        rows, row_weights = lagrange_stencil(position, polar)
-        columns, weights = self._columns(w, azimuths)
-
-        def along(row, weight):
-            near = self.values[:, row[..., None], columns]
-            return jnp.sum(near * (weight[..., None] * weights)[None], axis=-1)
-
-        R_0, R_1 = sum(along(rows[..., i], row_weights[..., i]) for i in range(ORDER))
-        return R_0 + f0 * (R_1 - R_0)
-
-    def _columns(self, w: Direction, azimuths: int) -> tuple[Array, Array]:
-        """The azimuths that count at w, and their weights, (..., 6); of a single one (..., 1)."""
-        if azimuths == 1:
-            return jnp.zeros((*w.shape[:-1], 1), int), jnp.ones((*w.shape[:-1], 1), w.dtype)
-        phi = safe_arctan2(w[..., 1], w[..., 0])
-        return lagrange_stencil(phi * (azimuths / (2 * jnp.pi)), azimuths, periodic=True)
+        R_0, R_1 = self.values
+        position = polar_position(jnp.maximum(cos_theta(w), 0), len(R_0), self.grazing)
+        return interpolate(R_0 + f0 * (R_1 - R_0), position, w)
 
 
 @per_channel

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from jaxbrdf.arrays import NON_NEGATIVE, Parameter, Range, parameter
 from jaxbrdf.brdf.base import AbstractBRDF, both_above
 from jaxbrdf.brdf.microfacet import mirrored_density, sample_mirrored
-from jaxbrdf.directions import NORMAL, Direction, cos_theta, half_vector, reflect
+from jaxbrdf.directions import NORMAL, Direction, cos_theta, dot, half_vector, reflect
 from jaxbrdf.ndf.blinn_phong import BlinnPhong
 from jaxbrdf.special import gaussian_ramp, safe_sqrt
 
@@ -80,7 +80,7 @@ def cosine_power(a: Direction, b: Direction, exponent: Float[Array, ""]) -> Floa
 
     a·b = 1 − ‖a − b‖²/2 keeps the digits of a high power, also where rounding has touched the lengths.
     """
-    chord2 = jnp.sum((a - b) ** 2, axis=-1)
+    chord2 = dot(a - b, a - b)
     within = chord2 < 2
     return jnp.where(within, jnp.exp(exponent * jnp.log1p(-jnp.where(within, chord2, 0) / 2)), 0)
 

@@ -14,8 +14,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbrdf.arrays import Parametric, in_chunks, per_channel
-from jaxbrdf.directions import NORMAL, Direction, above_horizon, as_directions, as_floats, cos_theta, dot
-from jaxbrdf.special import fold, gauss_legendre, safe_divide, safe_normalize
+from jaxbrdf.directions import (
+    NORMAL,
+    Direction,
+    above_horizon,
+    as_directions,
+    as_floats,
+    cos_theta,
+    dot,
+    safe_normalize,
+)
+from jaxbrdf.special import fold, gauss_legendre, safe_divide
 
 
 class AbstractNDF(Parametric):

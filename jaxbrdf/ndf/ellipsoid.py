@@ -4,10 +4,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import POSITIVE, Parameter, Range, parameter
-from jaxbrdf.directions import NORMAL, Direction, cos_theta, dot, rotate_x, rotate_y, rotate_z
+from jaxbrdf.directions import NORMAL, Direction, cos_theta, dot, rotate_x, rotate_y, rotate_z, safe_normalize
 from jaxbrdf.ndf.base import AbstractVisibleNDF, one_each
 from jaxbrdf.ndf.visible_hemisphere import sample_visible_hemisphere
-from jaxbrdf.special import safe_normalize, safe_sqrt
+from jaxbrdf.special import safe_sqrt
 
 
 class Ellipsoid(AbstractVisibleNDF):

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import POSITIVE, Parameter, Range, parameter
-from jaxbrdf.directions import NORMAL, Direction, cos_theta
+from jaxbrdf.directions import NORMAL, Direction, cos_theta, safe_normalize
 from jaxbrdf.ndf.base import AbstractVisibleNDF, from_slopes, one_each
 from jaxbrdf.ndf.visible_hemisphere import sample_visible_hemisphere
-from jaxbrdf.special import safe_normalize, safe_sqrt
+from jaxbrdf.special import safe_sqrt
 
 
 class TrowbridgeReitz(AbstractVisibleNDF):
@@ -40,8 +40,9 @@ class TrowbridgeReitz(AbstractVisibleNDF):
         return jnp.where(above, 1 / (jnp.pi * alpha_x * alpha_y * jnp.where(above, e, 1) ** 2), 0)
 
     def _projected_area(self, w: Direction) -> Float[Array, "..."]:
-        v = self._stretch(w)
-        return (v[..., 2] + safe_sqrt(jnp.sum(v * v, axis=-1))) / 2
+        alpha_x, alpha_y = self.alphas
+        length2 = (alpha_x * w[..., 0]) ** 2 + (alpha_y * w[..., 1]) ** 2 + w[..., 2] ** 2
+        return (w[..., 2] + safe_sqrt(length2)) / 2
 
     def _sample(self, u: Float[Array, "... 2"]) -> Direction:
         r, phi = safe_sqrt(u[..., 0] / (1 - u[..., 0])), 2 * jnp.pi * u[..., 1]

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbrdf.directions import Direction, dot
-from jaxbrdf.special import safe_normalize, safe_sqrt
+from jaxbrdf.directions import Direction, dot, safe_normalize
+from jaxbrdf.special import safe_sqrt
 
 
 def sample_visible_hemisphere(u: Float[Array, "... 2"], w: Direction, pole: Direction) -> Direction:

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxbrdf as jb
+from jaxbrdf import directions
 from tests import references
 
 RNG = np.random.default_rng(7)
@@ -119,3 +120,12 @@ def test_leading_axes_broadcast():
         assert jb.half_vector(wi, wo).shape == (6, 3)
         brdf = jb.ShiftedGammaBRDF(0.1, 0.2, 0.1, 0.5, 0.8, 0.1)
         assert jax.eval_shape(brdf, wi, wo).shape == (6,)
+
+
+def test_safe_normalize():
+    v = jnp.array([[0.0, 0, 0], [3.0, 0, 4.0]])
+    assert_allclose(directions.safe_normalize(v), [[0, 0, 0], [0.6, 0, 0.8]])
+    jacobian = jax.jacfwd(directions.safe_normalize)(v)
+    assert_array_equal(jacobian[0, :, 0, :], np.zeros((3, 3)))
+    n = np.array([0.6, 0, 0.8])
+    assert_allclose(jacobian[1, :, 1, :], (np.eye(3) - np.outer(n, n)) / 5, atol=1e-15)

@@ -137,15 +137,6 @@ def test_safe_functions_give_their_stated_values_and_gradients(function, argumen
     assert np.all(np.isfinite(gradients))
 
 
-def test_safe_normalize():
-    v = jnp.array([[0.0, 0, 0], [3.0, 0, 4.0]])
-    assert_allclose(special.safe_normalize(v), [[0, 0, 0], [0.6, 0, 0.8]])
-    jacobian = jax.jacfwd(special.safe_normalize)(v)
-    assert_array_equal(jacobian[0, :, 0, :], np.zeros((3, 3)))
-    n = np.array([0.6, 0, 0.8])
-    assert_allclose(jacobian[1, :, 1, :], (np.eye(3) - np.outer(n, n)) / 5, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("x", "value", "gradient"), [(-2.0, (2, -2), (-1, 1)), (0.0, (0, 0), (1, 0)), (3.0, (3, 0), (1, 0))]
 )
