@@ -6,8 +6,9 @@ Each model is jitted and evaluated at random pairs above the horizon, a million 
 which compiles, is timed apart. Shown are nanoseconds a pair (the fastest of `--repeat` runs), the ratio to
 the Lambertian reflectance of the same precision, and the seconds of compilation. Where Mitsuba 3 has the
 model (its mono variant, vectorised through LLVM, single precision; its value holds the cosine besides), it
-evaluates the same directions in the same run, and the ratio of our single precision to it is shown; the
-columns stay empty where mitsuba is missing. Mitsuba takes the LLVM that DRJIT_LIBLLVM_PATH names, which must
+evaluates the same directions in the same run, and the ratio of our single precision to it is shown, as is:
+with directions (N, 3), and apart: as Mitsuba has them, three arrays x, y and z. The columns stay empty where
+mitsuba is missing. Mitsuba takes the LLVM that DRJIT_LIBLLVM_PATH names, which must
 be 16 or newer for its rough conductor. Some models whose projected area is an integral are shown with it
 tabulated besides. What sums over facets at every pair gets fewer pairs, see FEWER.
 """
@@ -110,6 +111,7 @@ FEWER = {  # the share of the pairs for what is a sum over facets at each pair
     "Microfacet, AnisotropicPhong": 1e-3,
 }
 
+COLUMNS = ("model", "compile float32", "float32", "compile float64", "float64", "mitsuba", "apart")
 MITSUBA = {  # what the same model is there
     "Lambertian": {"type": "diffuse", "reflectance": 0.5},
     "Microfacet, GGX": {"distribution": "ggx"},
@@ -139,15 +141,15 @@ def best_of(repeat: int, run: Callable[[], None]) -> float:
 
 
 def ours(
-    brdf: jb.AbstractBRDF, wi: np.ndarray, wo: np.ndarray, dtype: type, repeat: int
+    brdf: jb.AbstractBRDF, wi: np.ndarray, wo: np.ndarray, dtype: type, repeat: int, apart: bool = False
 ) -> tuple[float, float]:
-    """(seconds to compile, nanoseconds a pair)."""
+    """(seconds to compile, nanoseconds a pair); with components `apart` in memory or side by side."""
     brdf = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), brdf)
+    turn = np.transpose if apart else np.asarray
     blocks = [
-        (jnp.asarray(wi[i : i + BLOCK], dtype), jnp.asarray(wo[i : i + BLOCK], dtype))
-        for i in range(0, len(wi), BLOCK)
+        tuple(jnp.array(turn(w[i : i + BLOCK]), dtype) for w in (wi, wo)) for i in range(0, len(wi), BLOCK)
     ]
-    evaluate = eqx.filter_jit(lambda brdf, wi, wo: brdf(wi, wo))
+    evaluate = eqx.filter_jit(lambda brdf, wi, wo: brdf(wi.T, wo.T) if apart else brdf(wi, wo))
 
     def run(blocks=blocks):
         for i, o in blocks:
@@ -201,7 +203,9 @@ def measure(names: list[str], pairs: int, repeat: int) -> list[dict]:
         for dtype in (np.float32, np.float64):
             n = int(pairs * FEWER.get(name, 1))
             row[f"compile {dtype.__name__}"], row[dtype.__name__] = ours(brdf, wi[:n], wo[:n], dtype, repeat)
-        row["mitsuba"] = theirs(MITSUBA[name], wi, wo, repeat) if there and name in MITSUBA else np.nan
+        if there and name in MITSUBA:
+            row["mitsuba"] = theirs(MITSUBA[name], wi, wo, repeat)
+            row["apart"] = ours(brdf, wi, wo, np.float32, repeat, apart=True)[1]
         rows.append(row)
     return rows
 
@@ -214,20 +218,19 @@ def print_table(rows: list[dict]) -> None:
         "ns f64",
         "× Lambertian",
         "Mitsuba ns",
-        "× Mitsuba",
+        "× Mitsuba, apart",
         "compile f32, f64 / s",
     )
     for row in rows:
-        single, double, mitsuba = row["float32"], row["float64"], row["mitsuba"]
-        known = np.isfinite(mitsuba)
+        single, double, mitsuba = row["float32"], row["float64"], row.get("mitsuba")
         table.add_row(
             row["model"],
             f"{single:.1f}",
             f"{single / rows[0]['float32']:.1f}",
             f"{double:.1f}",
             f"{double / rows[0]['float64']:.1f}",
-            f"{mitsuba:.1f}" if known else "",
-            f"{single / mitsuba:.2f}" if known else "",
+            f"{mitsuba:.1f}" if mitsuba else "",
+            f"{single / mitsuba:.1f} {row['apart'] / mitsuba:.1f}" if mitsuba else "",
             f"{row['compile float32']:.2f} {row['compile float64']:.2f}",
         )
     Console(width=140).print(table)
@@ -249,7 +252,7 @@ def main() -> None:
     print_table(rows)
     if args.csv:
         with args.csv.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, rows[0])
+            writer = csv.DictWriter(file, COLUMNS)
             writer.writeheader()
             writer.writerows(rows)
 
