@@ -67,6 +67,7 @@ from .ndf.tabulated_area import TabulatedArea, tabulate_projected_area
 from .ndf.trowbridge_reitz import TrowbridgeReitz
 from .ndf.velvet import SlantedVelvet, Velvet
 from .quadrature import HalfDifferenceGrid, hemisphere, merl_grid
+from .samples import MeasuredSamples
 from .shadowing import (
     AbstractShadowing,
     AzimuthCorrelated,
@@ -122,6 +123,7 @@ __all__ = [
     "Lazanyi",
     "LinearSchlick",
     "MeasuredBRDF",
+    "MeasuredSamples",
     "Microfacet",
     "Mixture",
     "Modulated",

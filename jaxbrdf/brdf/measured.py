@@ -35,7 +35,8 @@ class MeasuredBRDF(AbstractBRDF):
 
     `raw` (H, D, P, C) as the file has it, possibly mapped from disk and not yet read, and `scale` (C,):
     the reflectance is raw · scale, in 1/sr. A sample is *valid* where raw is ≥ 0 in that channel and
-    both directions at the cell's centre are above the horizon; nothing else is ever used.
+    both directions at the cell's centre are above the horizon; nothing else is ever used. `wavelengths` (C,)
+    are in micrometres, None for RGB and where nobody knows; `origin` holds what the file says of itself.
 
     Sampled like a diffuse surface and by half vectors whose density is read off the table, in shares of the
     light that each seems to reflect.
@@ -44,7 +45,9 @@ class MeasuredBRDF(AbstractBRDF):
     raw: Float[np.ndarray, "H D P C"] = eqx.field(metadata={"rank": 3})
     scale: Float[np.ndarray, " C"]
     grid: HalfDifferenceGrid
+    wavelengths: Float[np.ndarray, " C"] | None = None
     name: str = eqx.field(static=True, default="")
+    origin: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def values(self) -> np.ndarray:
@@ -60,8 +63,8 @@ class MeasuredBRDF(AbstractBRDF):
 
     @property
     def anonymous(self) -> "MeasuredBRDF":
-        """The same without its name, for which jit would compile what it has compiled for another."""
-        return replace(self, name="")
+        """The same without name and origin, for which jit would compile what it has compiled for another."""
+        return replace(self, name="", origin=())
 
     def slices(self) -> Slices:
         """The backscattering and the mirror slice; of a mapped file only their pages are read."""
