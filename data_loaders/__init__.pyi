@@ -1,6 +1,10 @@
+from .alta import read_alta, write_alta
+from .cornell import read_cornell
+from .csv_table import read_csv, write_csv
 from .errors import DataError
 from .json_record import fit_to_json
 from .merl import read_merl, read_merl_slices, write_merl
+from .minidiff import read_minidiff
 from .optical_constants import OpticalConstants, conductor_from_colour, optical_constants
 from .published import published, published_materials, published_parameters
 from .recognise import read_brdf
@@ -16,9 +20,15 @@ __all__ = [
     "published",
     "published_materials",
     "published_parameters",
+    "read_alta",
     "read_brdf",
+    "read_cornell",
+    "read_csv",
     "read_merl",
     "read_merl_slices",
+    "read_minidiff",
     "save_fit",
+    "write_alta",
+    "write_csv",
     "write_merl",
 ]

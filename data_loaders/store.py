@@ -1,34 +1,15 @@
-r"""The whole record of a fit as an HDF5 file: models of any kind, bit for bit, and where they come from.
-
-A model is a group with its class in the attribute "class"; its arrays are datasets, its tuples groups with
-the attribute "length" and members numbered from 0, its texts attributes. Classes are looked up by name among
-the public names of jaxbrdf; nothing else in a file can name code. The file's own attributes say its format
-and its provenance.
-
-Damage is noticed: HDF5 of this version checks its own structure, and each array has a CRC-32 beside it.
-"""
-
-import dataclasses
-import inspect
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+"""Fits and reflectances on the disk, as HDF5 files: whole, and bit for bit."""
 
 import equinox as eqx
-import h5py
-import numpy as np
 
-import jaxbrdf
 from data_loaders.errors import DataError
-from data_loaders.files import HDF5_MAGIC, AnyPath, describe, read_head, replacing
-from data_loaders.provenance import Source, provenance
-from jaxbrdf import FitResult
+from data_loaders.files import AnyPath
+from data_loaders.hdf5_record import Kind, read_record, write_record
+from data_loaders.provenance import Source
+from jaxbrdf import AbstractBRDF, FitResult, MeasuredSamples
 
-_FORMAT = "jaxbrdf fit"
-_VERSION = 1
-# v110 checks its structure. No locks: files are replaced whole, and network drives often cannot lock.
-_WRITE = {"mode": "w", "libver": "v110", "locking": False}
-_READ = {"mode": "r", "locking": False}
+FIT = Kind("jaxbrdf fit", "result")
+REFLECTANCE = Kind("jaxbrdf reflectance", "reflectance")
 
 
 def save_fit(path: AnyPath, result: FitResult, source: Source = None) -> None:
@@ -38,11 +19,7 @@ def save_fit(path: AnyPath, result: FitResult, source: Source = None) -> None:
     with something in it that is not an array, a tuple, a text or a public class of jaxbrdf, DataError
     where `path` cannot be written.
     """
-    with replacing(path) as temporary, h5py.File(temporary, **_WRITE) as file:
-        for name, value in {"format": _FORMAT, **provenance(source)}.items():
-            _write_text(file, name, value)
-        file.attrs["format_version"] = _VERSION
-        _write(file, "result", result)
+    write_record(path, FIT, result, source)
 
 
 def load_fit(path: AnyPath) -> FitResult:
@@ -51,157 +28,34 @@ def load_fit(path: AnyPath) -> FitResult:
     Raises DataError where the file cannot be read, is not such a record or one of another version, is
     damaged or cut short, or names a class that this jaxbrdf does not have.
     """
-    head = read_head(path)
-    if not head.startswith(HDF5_MAGIC):
-        raise DataError(path, "a fit saved as HDF5", describe(head))
-    with _damage(path), h5py.File(path, **_READ) as file:
-        _check_format(path, file)
-        result = _read(path, _member(path, file, "result"))
+    result = read_record(path, FIT)
     if not isinstance(result, FitResult):
         raise DataError(path, "a FitResult", f"a {type(result).__name__}")
     return result
 
 
-# Writing
+def write_hdf5(path: AnyPath, reflectance: AbstractBRDF | MeasuredSamples, source: Source = None) -> None:
+    """Writes a reflectance, measured or a model; `read_hdf5` gives it back bit for bit.
+
+    Raises as `save_fit` does.
+    """
+    write_record(path, REFLECTANCE, reflectance, source)
 
 
-def _write(group: h5py.Group, name: str, value: object) -> None:
-    if isinstance(value, eqx.Module):
-        _write_module(group.create_group(name), value)
-    elif isinstance(value, tuple):
-        numbered = group.create_group(name)
-        numbered.attrs["length"] = len(value)
-        for index, item in enumerate(value):
-            _write(numbered, str(index), item)
-    else:
-        _write_array(group, name, np.asarray(value))
+def read_hdf5(path: AnyPath) -> AbstractBRDF | MeasuredSamples:
+    """The reflectance that `write_hdf5` wrote. Raises DataError as `load_fit` does."""
+    reflectance = read_record(path, REFLECTANCE)
+    if not isinstance(reflectance, AbstractBRDF | MeasuredSamples):
+        raise DataError(path, "a reflectance", f"a {type(reflectance).__name__}")
+    _check_shapes(path, reflectance)
+    return reflectance
 
 
-def _write_module(group: h5py.Group, module: eqx.Module) -> None:
-    name = type(module).__name__
-    if _public_class(name) is not type(module):
-        raise ValueError(
-            f"save_fit stores classes among jaxbrdf's public names; {name} is not: load_fit could not find it"
-        )
-    _write_text(group, "class", name)
-    for field in dataclasses.fields(module):
-        write = _write_text if field.metadata.get("static", False) else _write
-        write(group, field.name, getattr(module, field.name))
-
-
-def _write_array(group: h5py.Group, name: str, array: np.ndarray) -> None:
-    if array.dtype.kind not in "biufc":
-        raise ValueError(
-            f"save_fit stores numbers, tuples, texts and models; {group.name}/{name} is {array.dtype}"
-        )
-    group.create_dataset(name, data=array).attrs["crc32"] = _crc(array)
-
-
-def _write_text(group: h5py.Group, name: str, value: object) -> None:
-    """A str or a tuple of str, of fixed length: HDF5's checks do not cover texts of variable length."""
-    if not all(isinstance(item, str) for item in (value if isinstance(value, tuple) else (value,))):
-        raise ValueError(
-            f"save_fit stores a static field if it is a str or tuple of str; {group.name}/{name} is {value!r}"
-        )
-    data = np.char.encode(np.asarray(value, dtype=str), "utf-8", "surrogateescape")
-    group.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, data.itemsize)))
-
-
-# Reading
-
-
-@contextmanager
-def _damage(path: AnyPath) -> Iterator[None]:
-    """Turns what h5py raises on a damaged file, which may be any of these, into a DataError."""
+def _check_shapes(path: AnyPath, record: eqx.Module) -> None:
+    """What the class itself asks of its arrays, which reading leaves out."""
     try:
-        yield
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
-        reason = error.args[0] if error.args else type(error).__name__
-        raise DataError(path, "an undamaged record of a fit", f"damage: {reason}") from error
-
-
-def _check_format(path: AnyPath, file: h5py.File) -> None:
-    if "format" not in file.attrs or _text(file, "format") != _FORMAT:
-        raise DataError(path, "a fit saved by jaxbrdf", "an HDF5 file of another kind")
-    version = int(file.attrs["format_version"])
-    if version != _VERSION:
-        raise DataError(
-            path, f"a fit in format version {_VERSION}", f"version {version}: another jaxbrdf wrote it"
-        )
-
-
-def _read(path: AnyPath, node: h5py.Group | h5py.Dataset) -> object:
-    if isinstance(node, h5py.Dataset):
-        return _read_array(path, node)
-    if "length" in node.attrs:
-        return tuple(_read(path, _member(path, node, str(k))) for k in range(int(node.attrs["length"])))
-    return _read_module(path, node)
-
-
-def _read_array(path: AnyPath, dataset: h5py.Dataset) -> np.ndarray:
-    if dataset.dtype.kind not in "biufc" or dataset.id.get_storage_size() != dataset.nbytes:
-        raise DataError(path, f"all numbers of {dataset.name}", "something else, or only a part")
-    array = dataset[...]
-    if _crc(array) != dataset.attrs["crc32"]:
-        raise DataError(path, f"{dataset.name} as it was written", "other numbers: the file is damaged")
-    return array
-
-
-def _read_module(path: AnyPath, group: h5py.Group) -> eqx.Module:
-    """The model of a group, made without its constructor, whose conversions could narrow its numbers."""
-    cls = _class(path, group)
-    module = object.__new__(cls)
-    for field in dataclasses.fields(cls):
-        object.__setattr__(module, field.name, _read_field(path, group, field))
-    return module
-
-
-def _read_field(path: AnyPath, group: h5py.Group, field: dataclasses.Field) -> object:
-    if field.metadata.get("static", False):
-        return _static(path, group, field.name)
-    return _as_declared(_read(path, _member(path, group, field.name)), field)
-
-
-def _as_declared(value: object, field: dataclasses.Field) -> object:
-    """An array as the field's own converter makes it, unless that would narrow it (float64 without x64)."""
-    converter = field.metadata.get("converter")
-    if converter is None or not isinstance(value, np.ndarray):
-        return value
-    converted = converter(value)
-    return converted if converted.dtype == value.dtype else value
-
-
-def _class(path: AnyPath, group: h5py.Group) -> type[eqx.Module]:
-    name = _static(path, group, "class")
-    cls = _public_class(str(name))
-    if cls is None:
-        raise DataError(path, f"one of jaxbrdf's models in {group.name}", f"the unknown class {name!r}")
-    return cls
-
-
-def _public_class(name: str) -> type[eqx.Module] | None:
-    """The concrete model of that name on jaxbrdf's face, None where there is none."""
-    cls = getattr(jaxbrdf, name) if name in jaxbrdf.__all__ else None
-    is_model = inspect.isclass(cls) and issubclass(cls, eqx.Module) and not inspect.isabstract(cls)
-    return cls if is_model else None
-
-
-def _member(path: AnyPath, group: h5py.Group, name: str) -> h5py.Group | h5py.Dataset:
-    if name not in group:
-        raise DataError(path, f"{name!r} in {group.name}", f"only {sorted(group)}")
-    return group[name]
-
-
-def _static(path: AnyPath, group: h5py.Group, name: str) -> str | tuple[str, ...]:
-    if name not in group.attrs:
-        raise DataError(path, f"the attribute {name!r} of {group.name}", f"only {sorted(group.attrs)}")
-    return _text(group, name)
-
-
-def _text(group: h5py.Group, name: str) -> str | tuple[str, ...]:
-    text = np.char.decode(group.attrs[name], "utf-8", "surrogateescape")
-    return tuple(text.tolist()) if text.ndim else str(text)
-
-
-def _crc(array: np.ndarray) -> int:
-    return zlib.crc32(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+        for cls in type(record).__mro__:
+            if "__check_init__" in vars(cls):
+                cls.__check_init__(record)  # type: ignore[attr-defined]
+    except ValueError as error:
+        raise DataError(path, "arrays that belong together", str(error)) from error

@@ -1,5 +1,6 @@
 from . import metrics
 from .brdf.abc import ABC, SmoothABC
+from .brdf.adaptive import AdaptiveBRDF
 from .brdf.ashikhmin_materials import ASHIKHMIN_MATERIALS, ashikhmin_material
 from .brdf.ashikhmin_shirley import (
     AshikhminShirley,
@@ -91,6 +92,7 @@ __all__ = [
     "AbstractShadowing",
     "AbstractSum",
     "AbstractVisibleNDF",
+    "AdaptiveBRDF",
     "AnisotropicPhong",
     "AshikhminShirley",
     "AshikhminShirleyDiffuse",

@@ -45,8 +45,8 @@ class MeasuredBRDF(AbstractBRDF):
     raw: Float[np.ndarray, "H D P C"] = eqx.field(metadata={"rank": 3})
     scale: Float[np.ndarray, " C"]
     grid: HalfDifferenceGrid
-    wavelengths: Float[np.ndarray, " C"] | None = None
     name: str = eqx.field(static=True, default="")
+    wavelengths: Float[np.ndarray, " C"] | None = None
     origin: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property

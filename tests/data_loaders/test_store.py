@@ -154,7 +154,7 @@ def test_an_interrupted_write_leaves_the_old_fit(error, tmp_path, monkeypatch):
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr("data_loaders.store._crc", fail)
+        patch.setattr("data_loaders.hdf5_record._crc", fail)
         with pytest.raises(DataError if isinstance(error, OSError) else KeyboardInterrupt):
             save_fit(path, RESULTS["batch"]())
     assert_same(load_fit(path), old)
