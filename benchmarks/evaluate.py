@@ -50,6 +50,20 @@ def measured() -> jb.MeasuredBRDF:
     )
 
 
+def adaptive() -> jb.AdaptiveBRDF:
+    """Tables of the size of an isotropic RGL file's."""
+    table = np.random.default_rng(0).uniform
+    return jb.AdaptiveBRDF(
+        theta_i=np.linspace(0, np.pi / 2, 8),
+        phi_i=np.zeros(1),
+        ndf=table(size=(2, 128)),
+        sigma=table(size=(2, 128)),
+        vndf=table(size=(1, 8, 128, 128)),
+        luminance=table(size=(1, 8, 32, 32)),
+        values=table(size=(1, 8, 32, 32, 1)),
+    )
+
+
 def kirchhoff() -> jb.KirchhoffBRDF:
     tables = np.random.default_rng(0).uniform(size=(3, 257, 257))
     return jb.KirchhoffBRDF(tables, np.array([0.4, 0.6, 0.9]), 0.55, METAL)
@@ -74,6 +88,7 @@ MODELS: dict[str, Callable[[], jb.AbstractBRDF]] = {
     "SmoothABC": lambda: jb.SmoothABC(46.0, 484.0, 1.33, 3.41),
     "RoughMetal": lambda: jb.RoughMetal(3.0, METAL),
     "MeasuredBRDF": measured,
+    "AdaptiveBRDF": adaptive,
     "KirchhoffBRDF": kirchhoff,
     "KirchhoffBRDF, table of σ": lambda: replace(
         kirchhoff(), ndf=jb.tabulate_projected_area(kirchhoff().mean_ndf)

@@ -7,8 +7,9 @@ from .merl import read_merl, read_merl_slices, write_merl
 from .minidiff import read_minidiff
 from .optical_constants import OpticalConstants, conductor_from_colour, optical_constants
 from .published import published, published_materials, published_parameters
-from .recognise import read_brdf
-from .store import load_fit, save_fit
+from .recognise import read_brdf, recognise
+from .rgl import read_rgl, write_rgl
+from .store import load_fit, read_hdf5, save_fit, write_hdf5
 
 __all__ = [
     "DataError",
@@ -24,11 +25,16 @@ __all__ = [
     "read_brdf",
     "read_cornell",
     "read_csv",
+    "read_hdf5",
     "read_merl",
     "read_merl_slices",
     "read_minidiff",
+    "read_rgl",
+    "recognise",
     "save_fit",
     "write_alta",
     "write_csv",
+    "write_hdf5",
     "write_merl",
+    "write_rgl",
 ]

@@ -12,7 +12,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import per_channel
 from jaxbrdf.brdf.base import AbstractBRDF
-from jaxbrdf.brdf.measured import MeasuredBRDF
 from jaxbrdf.directions import (
     Direction,
     as_directions,
@@ -39,7 +38,7 @@ def albedo(brdf: AbstractBRDF, wi: ArrayLike) -> Float[Array, "..."]:
     has no sample, counts as dark. Raises ValueError for directions that are not unit vectors (outside jit).
     """
     wi = as_directions(wi, "wi")
-    brdf = brdf.anonymous if isinstance(brdf, MeasuredBRDF) else brdf
+    brdf = brdf.anonymous
     by_quadrature, resolved = albedo_by_quadrature(brdf, wi)
     return by_quadrature if known(resolved) else _refined(brdf, wi, by_quadrature, resolved)
 

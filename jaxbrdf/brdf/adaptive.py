@@ -61,13 +61,13 @@ class AdaptiveBRDF(AbstractBRDF):
     phi_i: Float[np.ndarray, " P"] = eqx.field(metadata={"rank": 1})
     ndf: Float[np.ndarray, "M N"] = eqx.field(metadata={"rank": 2})
     sigma: Float[np.ndarray, "M2 N2"] = eqx.field(metadata={"rank": 2})
-    vndf: Float[np.ndarray, "P T M3 N3"] = eqx.field(metadata={"rank": 4})
-    luminance: Float[np.ndarray, "P T K K"] = eqx.field(metadata={"rank": 4})
-    values: Float[np.ndarray, "P T K K C"] = eqx.field(metadata={"rank": 4})
+    vndf: Float[np.ndarray, "..."] = eqx.field(metadata={"rank": 4})
+    luminance: Float[np.ndarray, "..."] = eqx.field(metadata={"rank": 4})
+    values: Float[np.ndarray, "..."] = eqx.field(metadata={"rank": 4})
     jacobian: UInt8[np.ndarray, " flags"] = eqx.field(
         metadata={"rank": 1}, default_factory=lambda: np.ones(1, np.uint8)
     )
-    wavelengths: Float[np.ndarray, " C"] | None = None
+    wavelengths: Float[np.ndarray, " W"] | None = None
     version: UInt32[np.ndarray, " numbers"] | None = eqx.field(metadata={"rank": 1}, default=None)
     valid: UInt8[np.ndarray, " bytes"] | None = eqx.field(metadata={"rank": 1}, default=None)
     name: str = eqx.field(static=True, default="")
@@ -93,7 +93,7 @@ class AdaptiveBRDF(AbstractBRDF):
 
     @property
     def anonymous(self) -> "AdaptiveBRDF":
-        """The same without name and origin, for which jit would compile what it has compiled for another."""
+        """The same without name and origin; see `AbstractBRDF.anonymous`."""
         return replace(self, name="", origin=())
 
     def nodes(self) -> "Nodes":
@@ -122,7 +122,7 @@ class AdaptiveBRDF(AbstractBRDF):
 
     def _ratio(self, point: Point, wi: Direction) -> Float[Array, "..."]:
         """D(m) / (4 σ(wi)) for m at a point of the square; 1 where `jacobian` is 0."""
-        alone = [(jnp.zeros((), jnp.int32), jnp.ones((), wi.dtype))]
+        alone = [(jnp.zeros(point.shape[:-1], jnp.int32), jnp.ones(point.shape[:-1], wi.dtype))]
         D = interpolate(jnp.asarray(self.ndf)[None], alone, point)
         sigma = interpolate(jnp.asarray(self.sigma)[None], alone, _square(*to_spherical(wi)))
         return jnp.where(self.jacobian[0] > 0, safe_divide(D, 4 * sigma), 1)
@@ -206,7 +206,7 @@ def _square(theta: Float[Array, "..."], phi: Float[Array, "..."]) -> Point:
     return jnp.stack([safe_sqrt(theta * (2 / jnp.pi)), turn - jnp.floor(turn)], axis=-1)
 
 
-def _around(x: Float[Array, "..."], nodes: np.ndarray) -> Corners:
+def _around(x: Float[Array, "..."], nodes: Array | np.ndarray) -> Corners:
     """The nodes around x and their weights; outside of all, the nearest."""
     if len(nodes) == 1:
         return [(jnp.zeros(x.shape, jnp.int32), jnp.ones_like(x))]

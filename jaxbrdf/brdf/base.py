@@ -40,6 +40,11 @@ class AbstractBRDF(Parametric):
         wi, wo = same_rank(as_directions(wi, "wi"), as_directions(wo, "wo"))
         return per_channel(type(self)._reflectance)(self, wi, wo)
 
+    @property
+    def anonymous(self) -> "AbstractBRDF":
+        """The same without texts that say where it is from, for which jit would compile once more."""
+        return self
+
     def sample(self, u: ArrayLike, wo: ArrayLike) -> Float[Array, "... 3"]:
         """A direction wi for each wo, of density `pdf(wi, wo)`: (..., 3).
 

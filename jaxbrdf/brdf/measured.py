@@ -63,7 +63,7 @@ class MeasuredBRDF(AbstractBRDF):
 
     @property
     def anonymous(self) -> "MeasuredBRDF":
-        """The same without name and origin, for which jit would compile what it has compiled for another."""
+        """The same without name and origin; see `AbstractBRDF.anonymous`."""
         return replace(self, name="", origin=())
 
     def slices(self) -> Slices:

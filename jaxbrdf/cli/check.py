@@ -13,8 +13,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from data_loaders import DataError, load_fit, published, read_brdf
-from data_loaders.files import HDF5_MAGIC, read_head, replacing
+from data_loaders import DataError, load_fit, published, read_brdf, recognise
+from data_loaders.files import replacing
+from data_loaders.hdf5_record import record_format
+from data_loaders.store import FIT
 from jaxbrdf import AbstractBRDF, CookTorrance, MeasuredBRDF, Scaled, ShiftedGammaBRDF, Sum
 from jaxbrdf.checks import (
     AZIMUTHS,
@@ -62,9 +64,9 @@ class CheckTask(batch.Task[list[Subject], list[dict[str, Any]], dict[str, Any]])
     def read(self, path: Path) -> list[Subject]:
         if ":" in str(path) and not path.exists():
             return [_from_literature(str(path))]
-        if read_head(path).startswith(HDF5_MAGIC):
+        if recognise(path).name == "HDF5" and record_format(path) == FIT.format:
             return list(_from_fit(path))
-        return [Subject(path.stem, "measured", "MeasuredBRDF", read_brdf(path))]
+        return [_from_measurement(path)]
 
     def process(self, inputs: Sequence[list[Subject]]) -> Sequence[list[dict[str, Any]]]:
         return [[examine(subject) for subject in subjects] for subjects in inputs]
@@ -102,6 +104,15 @@ def _from_literature(name: str) -> Subject:
     return Subject(name, "published", _class_names(brdf), brdf)
 
 
+def _from_measurement(path: Path) -> Subject:
+    brdf = read_brdf(path)
+    if not isinstance(brdf, AbstractBRDF):
+        raise DataError(
+            path, "a reflectance that is known in all directions", "samples at scattered directions"
+        )
+    return Subject(path.stem, "measured", _class_names(brdf), brdf)
+
+
 def _from_fit(path: Path) -> Iterator[Subject]:
     """Each material of a fit."""
     result = load_fit(path)
@@ -128,9 +139,7 @@ def _class_names(brdf: AbstractBRDF) -> str:
 
 def examine(subject: Subject) -> dict[str, Any]:
     """All checks of one reflectance, as plain numbers; each list with one number for each channel."""
-    brdf = subject.brdf
-    if isinstance(brdf, MeasuredBRDF):
-        brdf = brdf.anonymous
+    brdf = subject.brdf.anonymous
     document = {
         "name": subject.name,
         "kind": subject.kind,
@@ -220,7 +229,7 @@ def _on_values(found: dict[str, Any]) -> str:
 
 
 def _on_reciprocity(found: dict[str, Any]) -> str:
-    if found["kind"] == "measured":
+    if found["model"] == MeasuredBRDF.__name__:
         return "reciprocal by construction: the table holds one half of φ_d, which serves both ways"
     error = max(found["reciprocity_error"])
     if np.isnan(error):

@@ -13,7 +13,15 @@ from rich.console import Console
 from data_loaders import DataError, fit_to_json, load_fit, read_brdf, save_fit
 from data_loaders.files import replacing
 from fitting import fit_shifted_gamma
-from jaxbrdf import AbstractBRDF, FitResult, MeasuredBRDF, ShiftedGammaBRDF, compare, tabulate_projected_area
+from jaxbrdf import (
+    AbstractBRDF,
+    FitResult,
+    MeasuredBRDF,
+    MeasuredSamples,
+    ShiftedGammaBRDF,
+    compare,
+    tabulate_projected_area,
+)
 from jaxbrdf.cli import batch, pictures, report
 
 Fit = Callable[[Sequence[MeasuredBRDF], str], FitResult]  # a list of materials and a recipe to one batch
@@ -56,7 +64,12 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
         return Fitted(result, document | {"files": _as_text(files)}) if same else None
 
     def read(self, path: Path) -> MeasuredBRDF:
-        return read_brdf(path)
+        measured = read_brdf(path)
+        if not isinstance(measured, MeasuredBRDF):
+            raise DataError(
+                path, "a table over half and difference angles, as in a MERL file", kind_of(measured)
+            )
+        return measured
 
     def process(self, inputs: Sequence[MeasuredBRDF]) -> Sequence[FitResult]:
         results = MODELS[self.model](inputs, self.recipe)
@@ -104,6 +117,13 @@ def run(files: Sequence[Path], task: FitTask, as_json: bool = False) -> int:
         report.show_fits(fits, outcome.kept)
     report.say_what_happened(outcome, len(files))
     return outcome.exit_status
+
+
+def kind_of(reflectance: object) -> str:
+    """What was read in the place of a table, in words."""
+    if isinstance(reflectance, MeasuredSamples):
+        return "samples at scattered directions, which `jaxbrdf` reads but does not fit yet"
+    return f"a reflectance of the kind {type(reflectance).__name__}, which this fit does not take yet"
 
 
 def quick_model(result: FitResult) -> AbstractBRDF:

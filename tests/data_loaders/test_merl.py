@@ -70,9 +70,7 @@ def test_read_brdf_knows_merl_by_content_and_by_suffix(known_file, tmp_path):
     assert "450" in fault(read_brdf, holes(tmp_path / "x.BINARY", SIZE, (450, 90, 180))).found
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"# a table\n1 2 3\n", b"\x89HDF\r\n\x1a\n" + bytes(40), bytes(range(40))]
-)
+@pytest.mark.parametrize("content", [b"", b"# a table\n1 2 3\n", bytes(range(40))])
 def test_read_brdf_lists_what_it_understands(tmp_path, content):
     path = tmp_path / "material.dat"
     path.write_bytes(content)
