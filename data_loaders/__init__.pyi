@@ -1,13 +1,14 @@
 from .alta import read_alta, write_alta
+from .colours import to_rgb
 from .cornell import read_cornell
 from .csv_table import read_csv, write_csv
 from .errors import DataError
+from .formats import read_brdf, recognise, write_brdf
 from .json_record import fit_to_json
 from .merl import read_merl, read_merl_slices, write_merl
 from .minidiff import read_minidiff
 from .optical_constants import OpticalConstants, conductor_from_colour, optical_constants
 from .published import published, published_materials, published_parameters
-from .recognise import read_brdf, recognise
 from .rgl import read_rgl, write_rgl
 from .store import load_fit, read_hdf5, save_fit, write_hdf5
 
@@ -32,7 +33,9 @@ __all__ = [
     "read_rgl",
     "recognise",
     "save_fit",
+    "to_rgb",
     "write_alta",
+    "write_brdf",
     "write_csv",
     "write_hdf5",
     "write_merl",

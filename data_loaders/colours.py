@@ -4,8 +4,12 @@ Colours are linear sRGB (..., 3), spectra run over wavelengths in micrometres. T
 daylight D65: a spectrum that is the same at all wavelengths is grey.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
+
+from jaxbrdf import AbstractBRDF, AdaptiveBRDF, MeasuredBRDF, MeasuredSamples
 
 _VISIBLE = np.arange(360, 781) / 1000  # µm; what is seen outside is less than 1e-4 of the whole
 
@@ -19,9 +23,41 @@ def linear_srgb(wavelengths: ArrayLike, spectrum: ArrayLike) -> np.ndarray:
     outside sRGB, with a negative channel or one above that of the brightest wavelength; nothing is clipped.
     Raises ImportError without colour-science.
     """
-    weights = _srgb_weights()
-    s = np.interp(_VISIBLE, np.asarray(wavelengths, dtype=float), np.asarray(spectrum, dtype=float))
-    return s @ weights / weights.sum(axis=0)
+    return np.asarray(spectrum, dtype=float) @ _to_srgb(np.asarray(wavelengths, dtype=float))
+
+
+def to_rgb(reflectance: AbstractBRDF | MeasuredSamples) -> AbstractBRDF | MeasuredSamples:
+    """A measurement with the channels R, G and B, linear: of spectra by `linear_srgb`, of grey three alike.
+
+    One that has them already is left as it is, and so is a model. Of a table, a cell that lacks a wavelength
+    is left out; where a colour is so saturated that a channel is negative, that channel counts as invalid.
+    Raises ValueError for other channels without wavelengths, ImportError without colour-science.
+    """
+    if not isinstance(reflectance, MeasuredSamples | MeasuredBRDF | AdaptiveBRDF):
+        return reflectance
+    values, wavelengths = reflectance.values, reflectance.wavelengths  # NaN where a table has no sample
+    channels = values.shape[-1]
+    if wavelengths is None and channels == 3:
+        return reflectance
+    if wavelengths is None and channels != 1:
+        raise ValueError(
+            f"colours are made of spectra; these {channels} channels have no wavelengths: set `wavelengths`, "
+            "(C,) in micrometres"
+        )
+    rgb = (values @ (np.ones((1, 3)) if wavelengths is None else _to_srgb(wavelengths))).astype(values.dtype)
+    if isinstance(reflectance, MeasuredBRDF):
+        raw = np.where(np.isfinite(rgb), rgb, -1)
+        return replace(reflectance, raw=raw, scale=np.ones(3), wavelengths=None)
+    return replace(reflectance, values=rgb, wavelengths=None)
+
+
+def _to_srgb(wavelengths: np.ndarray) -> np.ndarray:
+    """(W, 3): what a spectrum sampled at wavelengths in any order, linear between them, is multiplied by."""
+    order, weights = np.argsort(wavelengths), _srgb_weights()
+    hats = [np.interp(_VISIBLE, wavelengths[order], one) for one in np.eye(len(order))]
+    matrix = np.empty((len(order), 3))
+    matrix[order] = np.array(hats) @ weights / weights.sum(axis=0)
+    return matrix
 
 
 def smooth_reflectance(rgb: ArrayLike, wavelengths: ArrayLike | float) -> np.ndarray:

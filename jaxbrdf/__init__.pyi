@@ -68,7 +68,9 @@ from .ndf.tabulated_area import TabulatedArea, tabulate_projected_area
 from .ndf.trowbridge_reitz import TrowbridgeReitz
 from .ndf.velvet import SlantedVelvet, Velvet
 from .quadrature import HalfDifferenceGrid, hemisphere, merl_grid
+from .resampling import ResamplingError, as_adaptive, as_samples, as_table, resampling_error
 from .samples import MeasuredSamples
+from .scattered import SampleAlbedos, sample_albedos
 from .shadowing import (
     AbstractShadowing,
     AzimuthCorrelated,
@@ -131,7 +133,9 @@ __all__ = [
     "Modulated",
     "OrenNayar",
     "Phong",
+    "ResamplingError",
     "RoughMetal",
+    "SampleAlbedos",
     "Scaled",
     "Schlick",
     "ShiftedGamma",
@@ -153,6 +157,9 @@ __all__ = [
     "Ward",
     "WardDuer",
     "albedo",
+    "as_adaptive",
+    "as_samples",
+    "as_table",
     "ashikhmin_material",
     "compare",
     "dot",
@@ -171,6 +178,8 @@ __all__ = [
     "normalized_l2",
     "reciprocity_error",
     "reflect",
+    "resampling_error",
+    "sample_albedos",
     "smith_G1",
     "spherical",
     "tabulate_projected_area",
