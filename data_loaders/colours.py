@@ -29,13 +29,14 @@ def linear_srgb(wavelengths: ArrayLike, spectrum: ArrayLike) -> np.ndarray:
 def to_rgb(reflectance: AbstractBRDF | MeasuredSamples) -> AbstractBRDF | MeasuredSamples:
     """A measurement with the channels R, G and B, linear: of spectra by `linear_srgb`, of grey three alike.
 
-    One that has them already is left as it is, and so is a model. Of a table, a cell that lacks a wavelength
-    is left out; where a colour is so saturated that a channel is negative, that channel counts as invalid.
-    Raises ValueError for other channels without wavelengths, ImportError without colour-science.
+    One that has them already is left as it is, and so is a model. A sample, or a cell of a table, that is not
+    valid at all wavelengths becomes invalid, −1; where a colour is so saturated that a channel is negative,
+    that channel counts as invalid. Raises ValueError for other channels without wavelengths, ImportError
+    without colour-science.
     """
     if not isinstance(reflectance, MeasuredSamples | MeasuredBRDF | AdaptiveBRDF):
         return reflectance
-    values, wavelengths = reflectance.values, reflectance.wavelengths  # NaN where a table has no sample
+    values, wavelengths = reflectance.values, reflectance.wavelengths
     channels = values.shape[-1]
     if wavelengths is None and channels == 3:
         return reflectance
@@ -44,10 +45,12 @@ def to_rgb(reflectance: AbstractBRDF | MeasuredSamples) -> AbstractBRDF | Measur
             f"colours are made of spectra; these {channels} channels have no wavelengths: set `wavelengths`, "
             "(C,) in micrometres"
         )
+    if not isinstance(reflectance, AdaptiveBRDF):  # whose values may all be used
+        values = np.where(values >= 0, values, np.nan)
     rgb = (values @ (np.ones((1, 3)) if wavelengths is None else _to_srgb(wavelengths))).astype(values.dtype)
+    rgb[~np.isfinite(rgb)] = -1
     if isinstance(reflectance, MeasuredBRDF):
-        raw = np.where(np.isfinite(rgb), rgb, -1)
-        return replace(reflectance, raw=raw, scale=np.ones(3), wavelengths=None)
+        return replace(reflectance, raw=rgb, scale=np.ones(3), wavelengths=None)
     return replace(reflectance, values=rgb, wavelengths=None)
 
 

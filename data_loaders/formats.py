@@ -42,6 +42,21 @@ def _read_hdf5(path: AnyPath) -> Reflectance:
     return model
 
 
+def _as_merl(reflectance: Reflectance) -> MeasuredBRDF:
+    """A table in one or three channels; a spectrum's would fill the memory before it is refused."""
+    count = (
+        reflectance.values.shape[1]
+        if isinstance(reflectance, MeasuredSamples)
+        else channel_count(reflectance) or 1
+    )
+    if count not in (1, 3):
+        raise ValueError(
+            f"a MERL file holds R, G and B; this reflectance has {count} channels: make colours of spectra "
+            "(rgb=True or --rgb), or write RGL, HDF5, ALTA or CSV"
+        )
+    return as_table(reflectance)
+
+
 class Format(NamedTuple):
     """A kind of file: its name, the usual suffixes, whether a file begins like one, and its reader.
 
@@ -59,7 +74,7 @@ class Format(NamedTuple):
 
 
 FORMATS = (
-    Format("MERL", (".binary",), is_merl, read_merl, write_merl, as_table, colours=True),
+    Format("MERL", (".binary",), is_merl, read_merl, write_merl, _as_merl, colours=True),
     Format("RGL", (".bsdf",), is_tensor_file, read_rgl, write_rgl, as_adaptive, colours=True),
     Format(
         "HDF5",
@@ -89,8 +104,8 @@ def write_brdf(path: AnyPath, reflectance: Reflectance, rgb: bool = False) -> Re
     """Writes any reflectance, measured or a model, in the format that the suffix of `path` names.
 
     What is returned is what was written: the same where the format holds it as it is, and else resampled by
-    `jaxbrdf.as_table` (MERL), `as_adaptive` (RGL) or `as_samples` (ALTA, CSV); `resampling_error` says how far
-    that is from what was given. With `rgb` spectra become colours, see `to_rgb`; grey becomes three
+    `jaxbrdf.as_table` (MERL), `as_adaptive` (RGL) or `as_samples` (ALTA, CSV); `resampling_error` has the
+    difference. With `rgb` spectra become colours, see `to_rgb`; grey becomes three
     equal channels where the format needs colours. An old file stays until the new one is whole. Raises
     ValueError for what the format cannot hold, DataError for a suffix that is not written and where `path`
     cannot be.

@@ -26,6 +26,7 @@ Directions = Float[np.ndarray, "... 3"]
 _BLOCK = 1 << 16  # pairs evaluated at once
 _COMPARED = 50_000  # pairs that `resampling_error` looks at
 _GRAZING = np.radians(80)  # beyond, what is measured may be anything
+_STEEPEST = 1.5707  # θ_i of a node: just above the horizon
 _HORIZON = 1e-2  # cos θ of 89.4 degrees: nearer to the horizon f cos θ says nothing about f
 
 # An adaptive table: incidences, azimuths, nodes of the values (a side), rows of normals
@@ -53,10 +54,8 @@ def evaluate(
     if isinstance(reflectance, MeasuredSamples):
         return interpolate(reflectance, wi, wo, reach)
     brdf = reflectance.anonymous
-    blocks = [
-        _evaluate_block(brdf, wi[i : i + _BLOCK], wo[i : i + _BLOCK]) for i in range(0, len(wi), _BLOCK)
-    ]
-    f = np.concatenate(blocks)
+    starts = range(0, max(len(wi), 1), _BLOCK)  # one block at least, which says how many channels there are
+    f = np.concatenate([_evaluate_block(brdf, wi[i : i + _BLOCK], wo[i : i + _BLOCK]) for i in starts])
     return f if f.ndim == 2 else f[:, None]
 
 
@@ -65,18 +64,29 @@ def resampling_error(before: Reflectance, after: Reflectance) -> ResamplingError
 
         relative_l2    √(Σ (f' − f)² / Σ f²),    median    of |f' − f| / f where f > 0
 
-    over the samples of a measurement (at most 50,000, the same ones every time), or of `as_samples`. Pairs
-    that `after` lacks (NaN) count as 0 in the first and are left out of the second.
+    over the samples of a measurement that are valid in that channel (at most 50,000 pairs, the same ones every
+    time), or of `as_samples`. Pairs that `after` lacks count as 0 in the first and are left out of the second.
+    Samples of the same pairs are compared one by one. NaN where there is nothing to compare.
     """
     known = as_samples(before)
-    rows = np.flatnonzero((np.maximum(known.theta_i, known.theta_o) < _GRAZING) & known.valid.all(axis=1))
+    rows = np.flatnonzero((np.maximum(known.theta_i, known.theta_o) < _GRAZING) & known.valid.any(axis=1))
     rows = np.random.default_rng(0).permutation(rows)[:_COMPARED]
-    f = known.values[rows]
-    there = evaluate(after, known.wi[rows], known.wo[rows])
+    f = np.where(known.valid, known.values, np.nan)[rows]
+    there = _at(after, known, rows)
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.where((f > 0) & np.isfinite(there), np.abs(there - f) / f, np.nan)
-        l2 = np.sqrt(np.sum((np.nan_to_num(there) - f) ** 2, axis=0) / np.sum(f**2, axis=0))
+        l2 = np.sqrt(np.nansum((np.nan_to_num(there) - f) ** 2, axis=0) / np.nansum(f**2, axis=0))
     return ResamplingError(l2, _nanmedian(relative), len(rows))
+
+
+def _at(reflectance: Reflectance, known: MeasuredSamples, rows: np.ndarray) -> Float[np.ndarray, "n C"]:
+    """f at some pairs of `known`."""
+    angles = ("theta_i", "phi_i", "theta_o", "phi_o")
+    if isinstance(reflectance, MeasuredSamples) and all(
+        np.array_equal(getattr(reflectance, name), getattr(known, name)) for name in angles
+    ):
+        return np.where(reflectance.valid, reflectance.values, np.nan)[rows]
+    return evaluate(reflectance, known.wi[rows], known.wo[rows])
 
 
 # Samples
@@ -102,7 +112,8 @@ def as_samples(reflectance: Reflectance) -> MeasuredSamples:
 def _samples_of_table(table: MeasuredBRDF) -> MeasuredSamples:
     wi, wo = (np.asarray(w)[table.above_horizon] for w in table.grid.directions())
     values = table.raw[table.above_horizon] * table.scale
-    known = np.isfinite(values).all(axis=-1) & (values >= 0).any(axis=-1)
+    values = np.where(np.isfinite(values), values, -1)
+    known = (values >= 0).any(axis=-1)
     return _samples(wi[known], wo[known], values[known], table)
 
 
@@ -196,7 +207,7 @@ def as_adaptive(reflectance: Reflectance) -> AdaptiveBRDF:
     isotropic = isinstance(reflectance, MeasuredSamples) or _is_isotropic(reflectance)
     frame = _frame(reflectance, isotropic)
     wi, wo, ratio, density = (np.asarray(part, float) for part in frame.nodes())
-    light = _filled(_light(reflectance, wi, wo))
+    light = _light(reflectance, wi, wo)
     return AdaptiveBRDF(
         **{name: getattr(frame, name) for name in ("theta_i", "phi_i", "ndf", "sigma", "vndf")},
         luminance=_single(np.maximum(light.mean(axis=-1), 0) / density),
@@ -233,7 +244,8 @@ def _frame(reflectance: Reflectance, isotropic: bool) -> AdaptiveBRDF:
 def _incidences(reflectance: Reflectance) -> Float[np.ndarray, " T"]:
     """θ_i of the nodes: those that were measured if they are few, else dense towards grazing."""
     if isinstance(reflectance, MeasuredSamples):
-        measured = np.unique(np.round(reflectance.theta_i, 4))
+        theta_i = reflectance.theta_i[reflectance.valid.any(axis=1)]
+        measured = np.unique(np.clip(np.round(theta_i, 4), 0, _STEEPEST))
         if 4 <= len(measured) <= 2 * _INCIDENCES:
             return measured
     return np.radians(89) * np.sin(np.linspace(0, np.pi / 2, _INCIDENCES))
@@ -255,7 +267,7 @@ def _facets(reflectance: Reflectance, m: Directions, area: np.ndarray) -> np.nda
     theta, phi = (np.asarray(angle).reshape(-1, 1) for angle in to_spherical(jnp.asarray(m)))
     pairs = from_half_difference(theta, phi, np.radians(_DIFFERENCES), np.full_like(theta, np.pi / 2))
     wi, wo = (np.asarray(w).reshape(-1, 3) for w in pairs)
-    light = evaluate(reflectance, wi, wo, np.inf).max(axis=-1) * wo[:, 2]
+    light = np.fmax.reduce(evaluate(reflectance, wi, wo, np.inf), axis=-1) * wo[:, 2]
     known = np.isfinite(light)
     total = np.where(known, light, 0).reshape(len(theta), -1).sum(axis=1)
     D = np.maximum(total / np.maximum(known.reshape(len(theta), -1).sum(axis=1), 1), 0).reshape(m.shape[:2])
@@ -276,12 +288,12 @@ def _integral(table: np.ndarray) -> float:
 
 
 def _light(reflectance: Reflectance, wi: Directions, wo: Directions) -> np.ndarray:
-    """f cos θ_o, (..., C), for wo below the horizon that at the horizon; of samples however far they are."""
+    """f cos θ_o, (P, T, K, K, C), for wo below the horizon that at the horizon; of samples however far."""
     z = np.maximum(wo[..., 2:], 1e-3)
     wo = np.concatenate([wo[..., :2], z], axis=-1)
     wo /= np.linalg.norm(wo, axis=-1, keepdims=True)
-    wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
-    return (evaluate(reflectance, wi, wo, np.inf) * wo[:, 2:]).reshape(*z.shape[:-1], -1)
+    f = evaluate(reflectance, wi.reshape(-1, 3), wo.reshape(-1, 3), np.inf)
+    return _filled(f.reshape(*z.shape[:-1], -1)) * wo[..., 2:]
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

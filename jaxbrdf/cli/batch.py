@@ -120,6 +120,17 @@ def writable_folder(out: Path) -> None:
         raise Refused(f"--out {out}: no permission to write to {nearest}; name another folder")
 
 
+def writable_picture(plot: Path | None, inputs: Sequence[Path]) -> None:
+    """Refuse a picture in an unknown format, on top of an input, or where nothing can be written."""
+    if plot is None:
+        return
+    if plot.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise Refused(f"--plot {plot}: expected a name that ends in .png, .pdf or .svg")
+    if plot.resolve() in {path.resolve() for path in inputs}:
+        raise Refused(f"--plot {plot}: the picture would overwrite an input; give it another name")
+    writable_folder(plot.parent)
+
+
 def _set_finished_aside(paths: Sequence[Path], task: Task, report: Report) -> list[Path]:
     """The files that still need work; the records of the others go into the report."""
     for path in paths:

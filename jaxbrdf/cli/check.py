@@ -13,11 +13,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from data_loaders import DataError, load_fit, published, read_brdf, recognise
+from data_loaders import DataError, load_fit, recognise
 from data_loaders.files import replacing
 from data_loaders.hdf5_record import record_format
 from data_loaders.store import FIT
-from jaxbrdf import AbstractBRDF, CookTorrance, MeasuredBRDF, Scaled, ShiftedGammaBRDF, Sum
+from jaxbrdf import AbstractBRDF, CookTorrance, MeasuredBRDF, ShiftedGammaBRDF
 from jaxbrdf.checks import (
     AZIMUTHS,
     INCIDENCES,
@@ -28,7 +28,7 @@ from jaxbrdf.checks import (
     sample_pairs,
     sampling,
 )
-from jaxbrdf.cli import batch, report
+from jaxbrdf.cli import batch, report, sources
 from jaxbrdf.cli.fit import quick_model
 
 _SHOWN = (0, 30, 60, 80, 89)  # degrees of incidence in the table
@@ -62,11 +62,11 @@ class CheckTask(batch.Task[list[Subject], list[dict[str, Any]], dict[str, Any]])
         return None
 
     def read(self, path: Path) -> list[Subject]:
-        if ":" in str(path) and not path.exists():
-            return [_from_literature(str(path))]
+        if sources.is_published(path):
+            return [_subject(path, str(path), "published")]
         if recognise(path).name == "HDF5" and record_format(path) == FIT.format:
             return list(_from_fit(path))
-        return [_from_measurement(path)]
+        return [_subject(path, path.stem, "measured")]
 
     def process(self, inputs: Sequence[list[Subject]]) -> Sequence[list[dict[str, Any]]]:
         return [[examine(subject) for subject in subjects] for subjects in inputs]
@@ -77,7 +77,7 @@ class CheckTask(batch.Task[list[Subject], list[dict[str, Any]], dict[str, Any]])
 
 def run(files: Sequence[Path], as_json: bool = False, plot: Path | None = None) -> int:
     """Check every file, show what was found on standard output, and return the exit status."""
-    _refuse_nonsense(files, plot)
+    batch.writable_picture(plot, files)
     jax.config.update("jax_enable_x64", True)
     outcome = batch.run(files, CheckTask(), Console(stderr=True), chunk=1)
     documents = list(outcome.records.values())
@@ -91,26 +91,18 @@ def run(files: Sequence[Path], as_json: bool = False, plot: Path | None = None) 
             picture([found for document in documents for found in document["reflectances"]]).savefig(
                 scratch, format=plot.suffix[1:].lower()
             )
-    _say_what_happened(outcome, len(files))
+    report.say_failures(outcome, len(files))
     return outcome.exit_status
 
 
 # Reading
 
 
-def _from_literature(name: str) -> Subject:
-    model, _, material = name.partition(":")
-    brdf = published(model, material)
-    return Subject(name, "published", _class_names(brdf), brdf)
-
-
-def _from_measurement(path: Path) -> Subject:
-    brdf = read_brdf(path)
+def _subject(path: Path, name: str, kind: str) -> Subject:
+    brdf = sources.load(path)
     if not isinstance(brdf, AbstractBRDF):
-        raise DataError(
-            path, "a reflectance that is known in all directions", "samples at scattered directions"
-        )
-    return Subject(path.stem, "measured", _class_names(brdf), brdf)
+        raise DataError(path, "a reflectance that is known in all directions", sources.kind(brdf))
+    return Subject(name, kind, sources.class_names(brdf), brdf)
 
 
 def _from_fit(path: Path) -> Iterator[Subject]:
@@ -118,20 +110,13 @@ def _from_fit(path: Path) -> Iterator[Subject]:
     result = load_fit(path)
     if not isinstance(result.model, AbstractBRDF):
         raise DataError(path, "a fitted reflectance", f"a fitted {type(result.model).__name__}")
-    model = _class_names(result.model)
+    model = sources.class_names(result.model)
     if np.ndim(result.status) < 2:
         yield Subject(result.names[0] if result.names else path.stem, "fitted", model, quick_model(result))
         return
     for i in range(len(result.status)):
         name = result.names[i] if result.names else f"{path.stem} {i}"
         yield Subject(name, "fitted", model, quick_model(result[i]))
-
-
-def _class_names(brdf: AbstractBRDF) -> str:
-    """The model's class, or those of the terms of a sum."""
-    if isinstance(brdf, Sum):
-        return " + ".join(_class_names(term) for term in brdf.terms)
-    return _class_names(brdf.brdf) if isinstance(brdf, Scaled) else type(brdf).__name__
 
 
 # Examining
@@ -299,7 +284,7 @@ def _table(found: dict[str, Any]) -> Table:
     table.add_column("")
     for label, values, digits, words in _rows(found):
         shown = values if count <= _COLUMNS else [min(values), max(values)]
-        table.add_row(label, *(_number(value, digits) for value in shown), Text(words))
+        table.add_row(label, *(report.number(value, digits) for value in shown), Text(words))
     return table
 
 
@@ -338,10 +323,6 @@ def _side(found: dict[str, Any], i: int) -> str:
     return "from azimuth " + ", ".join(f"{phi}°" for phi in azimuths)
 
 
-def _number(value: float, digits: str) -> str:
-    return format(value, digits) if np.isfinite(value) else "–"
-
-
 def picture(found: Sequence[dict[str, Any]]) -> Figure:
     """Albedo against incidence: a colour for each reflectance, a line for each channel."""
     figure = Figure(figsize=(7, 4.6), dpi=120, layout="constrained")
@@ -359,21 +340,3 @@ def picture(found: Sequence[dict[str, Any]]) -> Figure:
         title="channels: solid, dashed, dotted" if max(f["channels"] for f in found) > 1 else None,
     )
     return figure
-
-
-def _refuse_nonsense(files: Sequence[Path], plot: Path | None) -> None:
-    if plot is None:
-        return
-    if plot.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise batch.Refused(f"--plot {plot}: expected a name that ends in .png, .pdf or .svg")
-    if plot.resolve() in {path.resolve() for path in files}:
-        raise batch.Refused(f"--plot {plot}: the picture would overwrite an input; give it another name")
-    batch.writable_folder(plot.parent)
-
-
-def _say_what_happened(outcome: batch.Report, count: int) -> None:
-    console = Console(stderr=True)
-    for path, reason in outcome.errors.items():
-        report.say(console, f"{path}: {reason}", style="red")
-    if outcome.interrupted:
-        report.say(console, f"interrupted: {len(outcome.records)} of {count} were checked")

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,18 +17,20 @@ from jaxbrdf import (
     AbstractBRDF,
     FitResult,
     MeasuredBRDF,
-    MeasuredSamples,
     ShiftedGammaBRDF,
+    as_table,
     compare,
     tabulate_projected_area,
 )
-from jaxbrdf.cli import batch, pictures, report
+from jaxbrdf.cli import batch, pictures, report, sources
+from jaxbrdf.resampling import Reflectance
 
 Fit = Callable[[Sequence[MeasuredBRDF], str], FitResult]  # a list of materials and a recipe to one batch
 
 MODELS: dict[str, Fit] = {"shifted-gamma": fit_shifted_gamma}  # what --model knows
 
 _LIMITS = {"": np.pi / 2, "_below_80": np.radians(80)}  # suffix of an error's name: largest angle used
+_CHANNELS = 8  # of one material: a table of more fills the memory
 
 
 @dataclass(frozen=True)
@@ -64,12 +66,8 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
         return Fitted(result, document | {"files": _as_text(files)}) if same else None
 
     def read(self, path: Path) -> MeasuredBRDF:
-        measured = read_brdf(path)
-        if not isinstance(measured, MeasuredBRDF):
-            raise DataError(
-                path, "a table over half and difference angles, as in a MERL file", kind_of(measured)
-            )
-        return measured
+        table = as_table(_few_channels(path, read_brdf(path)))
+        return replace(table, name=table.name or path.stem)
 
     def process(self, inputs: Sequence[MeasuredBRDF]) -> Sequence[FitResult]:
         results = MODELS[self.model](inputs, self.recipe)
@@ -119,11 +117,13 @@ def run(files: Sequence[Path], task: FitTask, as_json: bool = False) -> int:
     return outcome.exit_status
 
 
-def kind_of(reflectance: object) -> str:
-    """What was read in the place of a table, in words."""
-    if isinstance(reflectance, MeasuredSamples):
-        return "samples at scattered directions, which `jaxbrdf` reads but does not fit yet"
-    return f"a reflectance of the kind {type(reflectance).__name__}, which this fit does not take yet"
+def _few_channels(path: Path, reflectance: Reflectance) -> Reflectance:
+    """The reflectance, unless it is a spectrum, whose table would fill the memory."""
+    count = len(sources.channels(reflectance))
+    if count > _CHANNELS:
+        found = f"{count}; `jaxbrdf convert --rgb` makes colours of a spectrum"
+        raise DataError(path, f"at most {_CHANNELS} channels", found)
+    return reflectance
 
 
 def quick_model(result: FitResult) -> AbstractBRDF:

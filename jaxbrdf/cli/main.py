@@ -140,6 +140,70 @@ def check(
 
 
 @app.command()
+def convert(
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="A reflectance in any format, or published MODEL:MATERIAL.")
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="What to write: .binary (MERL), .bsdf (RGL), .h5 (HDF5), .alta (ALTA) or .csv.",
+        ),
+    ],
+    rgb: Annotated[
+        bool, typer.Option("--rgb", help="Make R, G and B of a spectrum, under daylight.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+    json: Json = False,
+) -> None:
+    """Convert a reflectance to another format, and say what that changed.
+
+    Read are MERL, RGL, ALTA, Mini-Diff, Cornell, CSV and our HDF5, recognised by their content. What a format
+    holds as it is comes back bit for bit; anything else is resampled, and the error is measured on what was
+    written.
+
+    **Examples**
+
+    jaxbrdf convert chrome.binary chrome.bsdf
+
+    jaxbrdf convert garnet_red.brdf garnet_red.binary --rgb
+
+    jaxbrdf convert sgd:chrome chrome.csv
+    """
+    from jaxbrdf.cli.convert import run
+
+    _exit_with(lambda: run(source, target, rgb=rgb, force=force, as_json=json))
+
+
+@app.command()
+def show(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILES", help="Reflectances in any format, or published MODEL:MATERIAL."),
+    ],
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Draw slices, lobes and the image slice of one file."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Show what is in a file: format, directions, range, units, invalid samples, albedo.
+
+    **Examples**
+
+    jaxbrdf show chrome.binary
+
+    jaxbrdf show C8_Silver.astm --plot silver.png
+
+    jaxbrdf show *.bsdf --json
+    """
+    from jaxbrdf.cli.show import run
+
+    _exit_with(lambda: run(files, as_json=json, plot=plot))
+
+
+@app.command()
 def demo(out: Out = Path("jaxbrdf-demo")) -> None:
     """Fit three stand-in materials, to see what `jaxbrdf fit` does without a measurement at hand.
 

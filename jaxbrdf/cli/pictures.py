@@ -17,8 +17,8 @@ from jaxbrdf.cli.report import channel_names, printable
 from jaxbrdf.directions import Direction
 
 # Okabe & Ito 2008, "Color universal design": told apart with any colour vision, and by the marker too.
-_STYLES = {"R": ("#D55E00", "o"), "G": ("#009E73", "s"), "B": ("#0072B2", "^")}
-_OTHER = ("#444444", "o")
+STYLES = {"R": ("#D55E00", "o"), "G": ("#009E73", "s"), "B": ("#0072B2", "^")}
+OTHER = ("#444444", "o")
 
 _INCIDENCES = (10, 30, 50, 70)  # degrees, the lobes of Bagher et al. 2012, Fig. 9
 _UNUSED = 70  # degrees: the slice beyond this θ_d is not fitted (Bagher et al. 2012, section 5.2)
@@ -34,28 +34,28 @@ def material(
     """
     channels = channel_names(measured.raw.shape[-1])
     figure = Figure(figsize=(10, 6.6), dpi=110, layout="constrained")
-    slices, lobes = _two_rows(figure)
+    slices, lobes = two_rows(figure)
     _draw_slices(list(slices.subplots(1, 2)), measured, model, channels)
     _draw_lobes(list(lobes.subplots(1, len(_INCIDENCES))), measured, model, channels)
     slices.legend(handles=_legend(channels), loc="outside upper center", ncols=9, frameon=False)
     lobes.suptitle("lobes in the plane of incidence: radius $f^{1/3}$, dashed towards the light", fontsize=10)
     figure.suptitle(_title(name, channels, errors), fontsize=12)
     if note:
-        figure.supxlabel(_plain(note), fontsize=9, style="italic", color="0.3")
+        figure.supxlabel(plain(note), fontsize=9, style="italic", color="0.3")
     return figure
 
 
-def _two_rows(figure: Figure) -> tuple[SubFigure, SubFigure]:
+def two_rows(figure: Figure) -> tuple[SubFigure, SubFigure]:
     upper, lower = cast(np.ndarray, figure.subfigures(2, 1, height_ratios=(2.1, 1)))
     return upper, lower
 
 
 def _title(name: str, channels: Sequence[str], errors: Sequence[float]) -> str:
     numbers = "   ".join(f"{c} {error:.3g}".strip() for c, error in zip(channels, errors, strict=True))
-    return f"{_plain(name)}      normalized L2:  {numbers}"
+    return f"{plain(name)}      normalized L2:  {numbers}"
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """A text as it stands: matplotlib would take what is between two dollar signs for a formula."""
     return printable(text).replace("$", r"\$")
 
@@ -70,7 +70,7 @@ def _draw_slices(
     f_d = _evaluate(model, *from_half_difference(table.theta_h_mirror, 0.0, theta_d, half))
     _draw_slice(axes[0], (table.theta_h, table.m_h), (theta_h, f_h), channels)
     _draw_slice(axes[1], (table.theta_d, table.m_d), (theta_d, f_d), channels)
-    axes[0].set_xscale("function", functions=(_root, np.square))
+    axes[0].set_xscale("function", functions=(root, np.square))
     axes[0].set_xticks([0, 1, 5, 10, 20, 30, 45, 60, 90])
     axes[0].set(xlim=(0, 90), xlabel=r"half angle $\theta_h$ (degrees), at $\theta_d = 0$", ylabel="f (1/sr)")
     axes[1].set(xlim=(0, 90), xlabel=r"difference angle $\theta_d$ (degrees), at $\theta_h = 0$")
@@ -78,7 +78,7 @@ def _draw_slices(
     axes[1].text(80, 0.03, "slice unused", transform=axes[1].get_xaxis_transform(), ha="center", color="0.4")
 
 
-def _root(theta: np.ndarray) -> np.ndarray:
+def root(theta: np.ndarray) -> np.ndarray:
     """The scale on which MERL's θ_h cells are evenly spaced."""
     return np.sqrt(np.maximum(theta, 0))
 
@@ -86,7 +86,7 @@ def _root(theta: np.ndarray) -> np.ndarray:
 def _draw_slice(ax: Axes, points: tuple, line: tuple, channels: Sequence[str]) -> None:
     """One slice: (angles, values) measured and fitted; the axis holds all that was measured below 80°."""
     for c, channel in enumerate(channels):
-        colour, marker = _STYLES.get(channel, _OTHER)
+        colour, marker = STYLES.get(channel, OTHER)
         ax.plot(
             np.rad2deg(points[0]), points[1][:, c], marker, color=colour, markersize=3.5, alpha=0.45, mew=0
         )
@@ -99,7 +99,7 @@ def _draw_slice(ax: Axes, points: tuple, line: tuple, channels: Sequence[str]) -
 
 
 def _legend(channels: Sequence[str]) -> list[Line2D]:
-    styles = [(channel, *_STYLES.get(channel, _OTHER)) for channel in channels if channel]
+    styles = [(channel, *STYLES.get(channel, OTHER)) for channel in channels if channel]
     by_channel = [Line2D([], [], color=colour, marker=m, markersize=5, label=c) for c, colour, m in styles]
     points = Line2D([], [], color="0.4", marker="o", markersize=4, linestyle="", label="measured")
     return [*by_channel, points, Line2D([], [], color="0.4", label="fitted")]
@@ -112,10 +112,10 @@ def _draw_lobes(
     points, lines = _lobes(measured, coarse), _lobes(model, fine)
     for i, ax in enumerate(axes):
         for c, channel in enumerate(channels):
-            colour, marker = _STYLES.get(channel, _OTHER)
-            ax.plot(*_polar(points[i, :, c], coarse), marker, color=colour, markersize=2.6, alpha=0.45, mew=0)
-            ax.plot(*_polar(lines[i, :, c % lines.shape[2]], fine), color=colour, linewidth=1.1)
-        _dress_lobe(ax, _INCIDENCES[i], _largest(points[i], lines[i]))
+            colour, marker = STYLES.get(channel, OTHER)
+            ax.plot(*polar(points[i, :, c], coarse), marker, color=colour, markersize=2.6, alpha=0.45, mew=0)
+            ax.plot(*polar(lines[i, :, c % lines.shape[2]], fine), color=colour, linewidth=1.1)
+        dress_lobe(ax, _INCIDENCES[i], largest(points[i], lines[i]))
 
 
 def _lobes(brdf: AbstractBRDF, theta_o: np.ndarray) -> np.ndarray:
@@ -125,27 +125,27 @@ def _lobes(brdf: AbstractBRDF, theta_o: np.ndarray) -> np.ndarray:
     return np.cbrt(np.maximum(_evaluate(brdf, wi, wo), 0))
 
 
-def _polar(radius: np.ndarray, theta: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+def polar(radius: np.ndarray, theta: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """(x, y) of polar coordinates, θ in degrees from the upright axis, positive to the right."""
     return radius * np.sin(np.deg2rad(theta)), radius * np.cos(np.deg2rad(theta))
 
 
-def _largest(*values: np.ndarray) -> float:
+def largest(*values: np.ndarray) -> float:
     """The largest finite number of some arrays, 1 where there is none above 0: a radius to draw within."""
     finite = np.concatenate([v[np.isfinite(v)] for v in values])
     return float(finite.max(initial=0)) or 1.0
 
 
-def _dress_lobe(ax: Axes, incidence: int, radius: float) -> None:
+def dress_lobe(ax: Axes, incidence: float, radius: float) -> None:
     """A half disc around the lobe (matplotlib's own polar axes leave its lower half empty)."""
     rim = 1.06 * radius
     ax.add_patch(Wedge((0, 0), rim, 0, 180, facecolor="none", edgecolor="0.3", linewidth=0.8))
     for theta in (-60.0, -30.0, 0.0, 30.0, 60.0):
-        ax.plot(*_polar(np.array([0, rim]), theta), color="0.9", linewidth=0.6, zorder=0)
-    ax.plot(*_polar(np.array([0, rim]), -float(incidence)), color="0.45", linewidth=1, linestyle="--")
+        ax.plot(*polar(np.array([0, rim]), theta), color="0.9", linewidth=0.6, zorder=0)
+    ax.plot(*polar(np.array([0, rim]), -incidence), color="0.45", linewidth=1, linestyle="--")
     ax.set(xlim=(-1.02 * rim, 1.02 * rim), ylim=(-0.02 * rim, 1.02 * rim), aspect="equal")
     ax.set_axis_off()
-    ax.set_title(rf"$\theta_i = {incidence}°$,  max f {float(f'{radius**3:.3g}'):g}/sr", fontsize=9)
+    ax.set_title(rf"$\theta_i = {incidence:g}°$,  max f {float(f'{radius**3:.3g}'):g}/sr", fontsize=9)
 
 
 @eqx.filter_jit

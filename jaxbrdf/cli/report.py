@@ -34,7 +34,7 @@ def show_fits(fits: Mapping[Path, Any], kept: Collection[Path]) -> None:
         _add_rows(table, path.stem + ("*" if path in kept else ""), fit)
     if kept:
         table.caption, table.caption_justify = "* kept from an earlier run", "left"
-    _wide_enough(Console()).print(table)
+    wide_enough(Console()).print(table)
 
 
 def parameters(model: eqx.Module) -> dict[str, np.ndarray]:
@@ -68,6 +68,15 @@ def say_what_happened(outcome: batch.Report, count: int) -> None:
         )
 
 
+def say_failures(outcome: batch.Report, count: int) -> None:
+    """On standard error: the files that failed and why, and an interrupt."""
+    console = Console(stderr=True)
+    for path, reason in outcome.errors.items():
+        say(console, f"{path}: {reason}", style="red")
+    if outcome.interrupted:
+        say(console, f"interrupted: {len(outcome.records)} of {count} are done")
+
+
 def say(console: Console, text: str, style: str = "") -> None:
     """One line of plain text, unwrapped, so that a path in it can be copied."""
     console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
@@ -85,14 +94,15 @@ def _add_rows(table: Table, name: str, fit: Any) -> None:
     for c, channel in enumerate(channel_names(len(status))):
         numbers = [float(value[c % len(value)]) for value in values.values()] + [error[c] for error in errors]
         words = FitStatus(int(status[c])).name.lower().replace("_", " ")
-        table.add_row(Text(printable(name) if c == 0 else ""), channel, *map(_number, numbers), words)
+        table.add_row(Text(printable(name) if c == 0 else ""), channel, *map(number, numbers), words)
 
 
-def _number(value: float | None) -> str:
-    return "–" if value is None or not math.isfinite(value) else f"{value:.3g}"
+def number(value: float | None, digits: str = ".3g") -> str:
+    """A number in a table; a dash where there is none."""
+    return "–" if value is None or not math.isfinite(value) else format(value, digits)
 
 
-def _wide_enough(console: Console) -> Console:
+def wide_enough(console: Console) -> Console:
     """In a file or a pipe a table is not squeezed into eighty columns."""
     if not console.is_terminal:
         console.width = max(console.width, _WIDE)
