@@ -6,6 +6,7 @@ Host code: numpy in and out, a model or a table being evaluated a block of pairs
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -118,7 +119,7 @@ def _samples_of_table(table: MeasuredBRDF) -> MeasuredSamples:
 
 
 def _samples_of_nodes(brdf: AdaptiveBRDF) -> MeasuredSamples:
-    nodes = brdf.nodes()
+    nodes = _nodes(brdf.anonymous)
     wi, wo = _above(np.asarray(nodes.wi, float).reshape(-1, 3), np.asarray(nodes.wo, float).reshape(-1, 3))
     return _samples(wi, wo, evaluate(brdf, wi, wo), brdf)
 
@@ -206,7 +207,7 @@ def as_adaptive(reflectance: Reflectance) -> AdaptiveBRDF:
         return reflectance
     isotropic = isinstance(reflectance, MeasuredSamples) or _is_isotropic(reflectance)
     frame = _frame(reflectance, isotropic)
-    wi, wo, ratio, density = (np.asarray(part, float) for part in frame.nodes())
+    wi, wo, ratio, density = (np.asarray(part, float) for part in _nodes(frame))
     light = _light(reflectance, wi, wo)
     return AdaptiveBRDF(
         **{name: getattr(frame, name) for name in ("theta_i", "phi_i", "ndf", "sigma", "vndf")},
@@ -262,15 +263,16 @@ def _facets(reflectance: Reflectance, m: Directions, area: np.ndarray) -> np.nda
     """D at normals (rows, columns, 3): as the light that facets there would reflect, and some everywhere.
 
     f cos θ is averaged over pairs that lie symmetrically about a normal, 2 θ_d apart and both above the
-    horizon, as far as they are known.
+    horizon, as far as they are known; of the channels the brightest counts.
     """
     theta, phi = (np.asarray(angle).reshape(-1, 1) for angle in to_spherical(jnp.asarray(m)))
     pairs = from_half_difference(theta, phi, np.radians(_DIFFERENCES), np.full_like(theta, np.pi / 2))
     wi, wo = (np.asarray(w).reshape(-1, 3) for w in pairs)
-    light = np.fmax.reduce(evaluate(reflectance, wi, wo, np.inf), axis=-1) * wo[:, 2]
+    light = evaluate(reflectance, wi, wo, np.inf) * wo[:, 2:]
+    light = light.reshape(len(theta), len(_DIFFERENCES), -1)
     known = np.isfinite(light)
-    total = np.where(known, light, 0).reshape(len(theta), -1).sum(axis=1)
-    D = np.maximum(total / np.maximum(known.reshape(len(theta), -1).sum(axis=1), 1), 0).reshape(m.shape[:2])
+    mean = np.where(known, light, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    D = np.maximum(mean.max(axis=-1), 0).reshape(m.shape[:2])
     whole = _integral(D * m[..., 2] * area)
     return (1 - _EVEN) * D / whole + _EVEN / np.pi if whole > 0 else np.full_like(D, 1 / np.pi)
 
@@ -307,6 +309,9 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 # Helpers
+
+
+_nodes = eqx.filter_jit(AdaptiveBRDF.nodes)
 
 
 def _evaluate_block(brdf: AbstractBRDF, wi: Directions, wo: Directions) -> np.ndarray:

@@ -79,7 +79,14 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
         quick = quick_model(output)
         errors = score(quick, content)
         source = self.source(path)
-        document = {"name": path.stem, **fit_to_json(output, source), **self.identity(path), **errors}
+        channels = {"channels": sources.channels(content)}
+        document = {
+            "name": path.stem,
+            **channels,
+            **fit_to_json(output, source),
+            **self.identity(path),
+            **errors,
+        }
         if self.with_pictures:
             figure = pictures.material(content, quick, path.stem, errors["normalized_l2"], self.note)
             with replacing(files["picture"]) as scratch:

@@ -13,12 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Wedge
 
 from jaxbrdf import AbstractBRDF, MeasuredBRDF, from_half_difference, spherical
-from jaxbrdf.cli.report import channel_names, printable
+from jaxbrdf.cli import sources
+from jaxbrdf.cli.report import printable
 from jaxbrdf.directions import Direction
 
 # Okabe & Ito 2008, "Color universal design": told apart with any colour vision, and by the marker too.
-STYLES = {"R": ("#D55E00", "o"), "G": ("#009E73", "s"), "B": ("#0072B2", "^")}
-OTHER = ("#444444", "o")
+_STYLES = {"R": ("#D55E00", "o"), "G": ("#009E73", "s"), "B": ("#0072B2", "^")}
+_OTHER = ("#444444", "o")
+_BANDS = ((490, "B"), (585, "G"), (800, "R"))  # nm: up to where a wavelength is drawn as which
 
 _INCIDENCES = (10, 30, 50, 70)  # degrees, the lobes of Bagher et al. 2012, Fig. 9
 _UNUSED = 70  # degrees: the slice beyond this θ_d is not fitted (Bagher et al. 2012, section 5.2)
@@ -32,7 +34,7 @@ def material(
 
     `errors` is the normalized L2 of each channel; `note` stands small below the picture.
     """
-    channels = channel_names(measured.raw.shape[-1])
+    channels = sources.channels(measured)
     figure = Figure(figsize=(10, 6.6), dpi=110, layout="constrained")
     slices, lobes = two_rows(figure)
     _draw_slices(list(slices.subplots(1, 2)), measured, model, channels)
@@ -53,6 +55,13 @@ def two_rows(figure: Figure) -> tuple[SubFigure, SubFigure]:
 def _title(name: str, channels: Sequence[str], errors: Sequence[float]) -> str:
     numbers = "   ".join(f"{c} {error:.3g}".strip() for c, error in zip(channels, errors, strict=True))
     return f"{plain(name)}      normalized L2:  {numbers}"
+
+
+def style(channel: str) -> tuple[str, str]:
+    """The colour and the marker of a channel, R, G, B or a wavelength."""
+    if channel.endswith(" nm"):
+        channel = next((band for end, band in _BANDS if float(channel[:-3]) < end), "")
+    return _STYLES.get(channel, _OTHER)
 
 
 def plain(text: str) -> str:
@@ -86,7 +95,7 @@ def root(theta: np.ndarray) -> np.ndarray:
 def _draw_slice(ax: Axes, points: tuple, line: tuple, channels: Sequence[str]) -> None:
     """One slice: (angles, values) measured and fitted; the axis holds all that was measured below 80°."""
     for c, channel in enumerate(channels):
-        colour, marker = STYLES.get(channel, OTHER)
+        colour, marker = style(channel)
         ax.plot(
             np.rad2deg(points[0]), points[1][:, c], marker, color=colour, markersize=3.5, alpha=0.45, mew=0
         )
@@ -99,7 +108,7 @@ def _draw_slice(ax: Axes, points: tuple, line: tuple, channels: Sequence[str]) -
 
 
 def _legend(channels: Sequence[str]) -> list[Line2D]:
-    styles = [(channel, *STYLES.get(channel, OTHER)) for channel in channels if channel]
+    styles = [(channel, *style(channel)) for channel in channels if channel]
     by_channel = [Line2D([], [], color=colour, marker=m, markersize=5, label=c) for c, colour, m in styles]
     points = Line2D([], [], color="0.4", marker="o", markersize=4, linestyle="", label="measured")
     return [*by_channel, points, Line2D([], [], color="0.4", label="fitted")]
@@ -112,7 +121,7 @@ def _draw_lobes(
     points, lines = _lobes(measured, coarse), _lobes(model, fine)
     for i, ax in enumerate(axes):
         for c, channel in enumerate(channels):
-            colour, marker = STYLES.get(channel, OTHER)
+            colour, marker = style(channel)
             ax.plot(*polar(points[i, :, c], coarse), marker, color=colour, markersize=2.6, alpha=0.45, mew=0)
             ax.plot(*polar(lines[i, :, c % lines.shape[2]], fine), color=colour, linewidth=1.1)
         dress_lobe(ax, _INCIDENCES[i], largest(points[i], lines[i]))

@@ -17,20 +17,19 @@ _INCIDENCES = (10.0, 30.0, 50.0, 70.0)  # degrees, of the lobes, unless a few ot
 _ROWS = 180  # of the image slice
 _MOST = 8  # channels drawn as they are; of more, their colours
 _NEAR = 0.05  # from the plane of incidence or from a slice: samples within are drawn as dots
-_GREY = ("#444444", "o")
 
 
 def draw(reflectance: Reflectance, name: str) -> Figure:
     """The picture. Between samples lines are interpolated, and end where those reach no farther."""
-    if len(sources.channels(reflectance)) > _MOST or sources.wavelengths(reflectance) is not None:
-        reflectance = to_rgb(reflectance)
+    coloured = to_rgb(reflectance) if sources.wavelengths(reflectance) is not None else reflectance
+    reflectance = coloured if len(sources.channels(reflectance)) > _MOST else reflectance
     figure = Figure(figsize=(11, 6.8), dpi=110, layout="constrained")
     upper, lower = pictures.two_rows(figure)
     slices = upper.subplots(1, 3)
-    styles = [pictures.STYLES.get(channel, _GREY) for channel in sources.channels(reflectance)]
+    styles = [pictures.style(channel) for channel in sources.channels(reflectance)]
     _draw_slice(slices[0], reflectance, styles, "theta_h")
     _draw_slice(slices[1], reflectance, styles, "theta_d")
-    _draw_image(slices[2], reflectance)
+    _draw_image(slices[2], coloured)
     incidences = _incidences(reflectance)
     lobes = np.atleast_1d(lower.subplots(1, len(incidences)))
     for ax, incidence in zip(lobes, incidences, strict=True):

@@ -91,7 +91,7 @@ def _add_rows(table: Table, name: str, fit: Any) -> None:
     values = parameters(fit.result.model)
     status = np.atleast_1d(fit.result.status)
     errors = (fit.document["normalized_l2"], fit.document["log_error_below_80"])
-    for c, channel in enumerate(channel_names(len(status))):
+    for c, channel in enumerate(fit.document.get("channels", channel_names(len(status)))):
         numbers = [float(value[c % len(value)]) for value in values.values()] + [error[c] for error in errors]
         words = FitStatus(int(status[c])).name.lower().replace("_", " ")
         table.add_row(Text(printable(name) if c == 0 else ""), channel, *map(number, numbers), words)

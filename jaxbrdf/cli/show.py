@@ -1,6 +1,6 @@
 """`jaxbrdf show`: what is in a file of reflectance, in numbers and as a picture."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
@@ -18,12 +18,12 @@ from jaxbrdf import (
     AdaptiveBRDF,
     MeasuredBRDF,
     MeasuredSamples,
-    albedo,
     as_samples,
     sample_albedos,
     spherical,
 )
 from jaxbrdf.cli import batch, portrait, report, sources
+from jaxbrdf.energy import albedo_by_quadrature
 from jaxbrdf.resampling import Reflectance
 
 _INCIDENCES = (0, 30, 60, 80)  # degrees, of the albedos of what is known in all directions
@@ -164,9 +164,14 @@ def _(brdf: AdaptiveBRDF) -> list[float] | None:
 
 @singledispatch
 def _albedos(reflectance: Reflectance) -> dict[str, Any]:
-    """Directional albedos by incidence: (incidences, channels)."""
-    found = np.asarray(albedo(cast(AbstractBRDF, reflectance), spherical(np.radians(_INCIDENCES), 0.0)))
-    return {"incidences_deg": list(_INCIDENCES), "albedo": found.reshape(len(_INCIDENCES), -1).tolist()}
+    """Directional albedos by incidence, (incidences, channels); by quadrature, which may be too coarse."""
+    brdf, wi = cast(AbstractBRDF, reflectance).anonymous, spherical(np.radians(_INCIDENCES), 0.0)
+    found, resolved = (np.asarray(a).reshape(len(wi), -1) for a in albedo_by_quadrature(brdf, wi))
+    return {
+        "incidences_deg": list(_INCIDENCES),
+        "albedo": found.tolist(),
+        "albedo_is_coarse": (~resolved).tolist(),
+    }
 
 
 @_albedos.register
@@ -216,8 +221,13 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, list[float], str]]:
     rows = [(f"{name} f (1/sr)", document[name], ".4g") for name in ("min", "median", "max")]
     if document["invalid_share"] is not None:
         rows.append(("invalid", document["invalid_share"], ".2%"))
-    covered = document.get("covered_share", [1.0] * len(document["albedo"]))
-    for theta, values, share in zip(document["incidences_deg"], document["albedo"], covered, strict=True):
-        of = "" if share == 1 else f", over {share:.0%} of the hemisphere"
-        rows.append((f"albedo at {theta:.4g}°{of}", values, ".3f"))
-    return rows
+    labels = _albedo_labels(document)
+    return rows + [(label, values, ".3f") for label, values in zip(labels, document["albedo"], strict=True)]
+
+
+def _albedo_labels(document: dict[str, Any]) -> Iterator[str]:
+    """What stands before each row of albedos, with what they leave out or how good they are."""
+    covered = [f", over {share:.0%} of the hemisphere" for share in document.get("covered_share", ())]
+    coarse = ["  (to a few %)" * any(channels) for channels in document.get("albedo_is_coarse", ())]
+    for theta, note in zip(document["incidences_deg"], covered or coarse, strict=True):
+        yield f"albedo at {theta:.4g}°{note}"
