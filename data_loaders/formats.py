@@ -49,9 +49,11 @@ def _as_merl(reflectance: Reflectance) -> MeasuredBRDF:
         if isinstance(reflectance, MeasuredSamples)
         else channel_count(reflectance) or 1
     )
-    if count not in (1, 3):
+    spectral = getattr(reflectance, "wavelengths", None) is not None  # three of them are no R, G and B either
+    if spectral or count not in (1, 3):
         raise ValueError(
-            f"a MERL file holds R, G and B; this reflectance has {count} channels: make colours of spectra "
+            f"a MERL file holds R, G and B; this reflectance has {count} "
+            f"{'wavelengths' if spectral else 'channels'}: make colours of spectra "
             "(rgb=True or --rgb), or write RGL, HDF5, ALTA or CSV"
         )
     return as_table(reflectance)

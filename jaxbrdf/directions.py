@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import floats
-from jaxbrdf.special import safe_arctan2, safe_divide, safe_hypot, safe_sqrt
+from jaxbrdf.special import arctan2, safe_arctan2, safe_divide, safe_hypot, safe_sqrt
 
 Direction = Float[Array, "... 3"]
 Angle = Float[Array, "..."]
@@ -96,7 +96,7 @@ def spherical(theta, phi) -> Direction:
 
 def to_spherical(w: Direction) -> tuple[Angle, Angle]:
     """(θ, φ) of a direction, θ in [0, π]; accurate and with finite gradients at the poles."""
-    return jnp.arctan2(safe_hypot(w[..., 0], w[..., 1]), w[..., 2]), safe_arctan2(w[..., 1], w[..., 0])
+    return arctan2(safe_hypot(w[..., 0], w[..., 1]), w[..., 2]), safe_arctan2(w[..., 1], w[..., 0])
 
 
 def or_normal(w: Direction) -> Direction:

@@ -65,9 +65,9 @@ def resampling_error(before: Reflectance, after: Reflectance) -> ResamplingError
 
         relative_l2    √(Σ (f' − f)² / Σ f²),    median    of |f' − f| / f where f > 0
 
-    over the samples of a measurement that are valid in that channel (at most 50,000 pairs, the same ones every
-    time), or of `as_samples`. Pairs that `after` lacks count as 0 in the first and are left out of the second.
-    Samples of the same pairs are compared one by one. NaN where there is nothing to compare.
+    over the samples of a measurement, in each channel the valid ones (at most 50,000 pairs, the same ones
+    every time), or of `as_samples`. Pairs that `after` lacks count as 0 in the first and are left out of the
+    second. Samples of the same pairs are compared one by one. NaN where there is nothing to compare.
     """
     known = as_samples(before)
     rows = np.flatnonzero((np.maximum(known.theta_i, known.theta_o) < _GRAZING) & known.valid.any(axis=1))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.lax import optimization_barrier
 from jaxtyping import Array, Float, UInt8, UInt32
 
 from jaxbrdf.brdf.base import AbstractBRDF, both_above
@@ -113,9 +114,9 @@ class AdaptiveBRDF(AbstractBRDF):
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         wi, wo = self._folded(wi, wo)
-        point = self._place(half_vector(wi, wo), wi)
-        corners = self._corners(wi)
-        s, _ = flatten(square_warp(_flat(self.vndf)), corners, point)
+        # Barriers keep XLA from doing all of this anew for each of the numbers that are gathered
+        point, corners = optimization_barrier((self._place(half_vector(wi, wo), wi), self._corners(wi)))
+        s, _ = optimization_barrier(flatten(square_warp(_flat(self.vndf)), corners, point))
         f = interpolate(_flat(self.values), corners, s) * self._ratio(point, wi)
         above = both_above(wi, wo)
         return jnp.where(above, f / jnp.where(above, cos_theta(wo), 1), 0)

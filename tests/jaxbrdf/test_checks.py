@@ -1,5 +1,6 @@
 """Reciprocity, energy and sampling of reflectances for which the answers are known."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -33,6 +34,13 @@ def test_a_diffuse_surface_obeys():
     assert_allclose(jb.energy_excess(rgb), 0, atol=1e-12)
     assert checks.is_isotropic(rgb)
     assert np.all(checks.sampling(rgb).consistent)
+
+
+@pytest.mark.parametrize("alpha_y", [0.1, 0.12])
+def test_azimuths_are_told_in_single_precision_too(alpha_y):
+    with jax.enable_x64(False):
+        lobe = jb.Microfacet(jb.TrowbridgeReitz(0.1, alpha_y), jb.Schlick(0.04))
+        assert bool(checks.is_isotropic(jb.Lambertian(0.1) + lobe)) == (alpha_y == 0.1)
 
 
 def test_a_surface_that_creates_energy():

@@ -201,3 +201,24 @@ def test_the_inverse_error_function_is_finite_at_its_ends():
     assert_allclose(scipy.special.erf(value), x, atol=1e-15)
     assert np.all(np.isfinite(value))
     assert np.all(np.isfinite(slope))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_arctan2_is_numpys(dtype):
+    """All quadrants, ratios from 1e-9 to 1e9, within three units in the last place; zeros; slopes."""
+    rng = np.random.default_rng(6)
+    y, x = (rng.normal(size=(2, 20000)) * 10 ** rng.uniform(-9, 0, (2, 20000))).astype(dtype)
+    true = np.arctan2(y.astype(np.longdouble), x.astype(np.longdouble))
+    found = np.asarray(jax.jit(special.arctan2)(y, x))
+    assert found.dtype == dtype
+    assert np.max(np.abs(found - true) / np.spacing(np.abs(true).astype(dtype))) < 3
+    ends = np.array(
+        [[0, 1], [-0.0, 1], [0, -1], [-0.0, -1], [1, 0], [-1, 0], [0, 0], [1, 1], [-1, -1]], dtype
+    ).T
+    assert_allclose(special.arctan2(*ends), np.arctan2(*ends), rtol=3e-7)
+    assert_array_equal(np.signbit(special.arctan2(*ends)), np.signbit(np.arctan2(*ends)))
+    assert np.isnan(special.arctan2(np.array(np.nan, dtype), np.array(1, dtype)))
+    by_y, by_x = jax.vmap(jax.grad(special.arctan2, (0, 1)))(jnp.array(y), jnp.array(x))
+    square = x.astype(float) ** 2 + y.astype(float) ** 2
+    assert_allclose(by_y, x / square, rtol=1e-6)
+    assert_allclose(by_x, -y / square, rtol=1e-6)
