@@ -114,6 +114,8 @@ def _check_grid(measured: MeasuredBRDF) -> None:
             f"a MERL file has the {_times(_DIMENSIONS)} cells of merl_grid(), this reflectance another grid, "
             f"of {_times(measured.grid.shape)} cells: evaluate it at merl_grid().directions() and write that"
         )
+    if measured.wavelengths is not None:
+        raise ValueError("a MERL file holds R, G and B, not wavelengths: make colours of them by `to_rgb`")
     if measured.raw.shape != (*_DIMENSIONS, 3):
         raise ValueError(
             f"a MERL file has 3 channels; this reflectance is a table of {_times(measured.raw.shape)}: "

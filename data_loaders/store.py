@@ -57,5 +57,5 @@ def _check_shapes(path: AnyPath, record: eqx.Module) -> None:
         for cls in type(record).__mro__:
             if "__check_init__" in vars(cls):
                 cls.__check_init__(record)  # type: ignore[attr-defined]
-    except ValueError as error:
+    except (ValueError, TypeError, IndexError) as error:  # a number in the place of an array
         raise DataError(path, "arrays that belong together", str(error)) from error

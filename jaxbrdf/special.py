@@ -35,18 +35,20 @@ def safe_arctan2(y, x):
 
 @jax.custom_jvp
 def arctan2(y, x):
-    """The angle of (x, y) in [−π, π], to 2 units in the last place: several times as fast as XLA's on a CPU.
+    r"""The angle of (x, y) in [−π, π], to 3 units in the last place: several times as fast as XLA's on a CPU.
 
-    The smaller of |x| and |y| over the larger is turned by π/4 where it exceeds tan π/8; arctan r is then r + r³
-    times a polynomial in r². All of it is one vectorised loop.
+        arctan r = r / (1 + u / (3 + 4u / (5 + 9u / (7 + …)))),   u = r²   (Gauss)
+
+    of r = the smaller of |x| and |y| over the larger, turned by π/4 where r exceeds tan π/8. All of it is one
+    loop, and ends with a division because that is what XLA does not do again for each use of the result.
     """
     y, x = jnp.broadcast_arrays(y, x)
     large, small = jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.minimum(jnp.abs(x), jnp.abs(y))
     steep = small > _TAN_EIGHTH * large
     above, below = jnp.where(steep, small - large, small), jnp.where(steep, small + large, large)
     r = above / jnp.where(below == 0, 1, below)
-    u, coefficients = r * r, _arctan_coefficients(12 if r.dtype == jnp.float64 else 6)
-    angle = jnp.where(steep, jnp.pi / 4, 0) + (r + r * u * reduce(lambda p, c: p * u + c, coefficients))
+    over, under = (_horner(c, r * r) for c in _arctan_fraction(12 if r.dtype == jnp.float64 else 5))
+    angle = r * over / under + jnp.where(steep, jnp.pi / 4, 0)
     angle = jnp.where(jnp.abs(y) > jnp.abs(x), jnp.pi / 2 - angle, angle)
     return jnp.copysign(jnp.where(jnp.signbit(x), jnp.pi - angle, angle), y)
 
@@ -61,12 +63,19 @@ _TAN_EIGHTH = math.tan(math.pi / 8)
 
 
 @lru_cache
-def _arctan_coefficients(count: int) -> tuple[float, ...]:
-    """Those of (arctan r − r) / r³ as a polynomial in u = r² up to tan² π/8, highest power first."""
-    k = np.arange(1, 40)
-    series = np.polynomial.Polynomial((-1.0) ** k / (2 * k + 1))
-    fitted = np.polynomial.Chebyshev.interpolate(series, count - 1, [0, _TAN_EIGHTH**2])
-    return tuple(fitted.convert(kind=np.polynomial.Polynomial).coef[::-1].tolist())
+def _arctan_fraction(depth: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The continued fraction cut off at `depth`, as two polynomials in u, highest power first."""
+    polynomial = np.polynomial.Polynomial
+    under, over = [polynomial([1.0]), polynomial([1.0])], [polynomial([0.0]), polynomial([1.0])]
+    for k in range(1, depth + 1):
+        for p in (under, over):
+            p.append((2 * k + 1) * p[-1] + polynomial([0, k**2]) * p[-2])
+    scale = under[-1].coef[0]
+    return tuple((over[-1].coef[::-1] / scale).tolist()), tuple((under[-1].coef[::-1] / scale).tolist())
+
+
+def _horner(coefficients, x):
+    return reduce(lambda p, c: p * x + c, coefficients)
 
 
 def safe_arccos(x):

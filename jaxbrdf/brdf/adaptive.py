@@ -6,7 +6,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import optimization_barrier
 from jaxtyping import Array, Float, UInt8, UInt32
 
 from jaxbrdf.brdf.base import AbstractBRDF, both_above
@@ -16,6 +15,7 @@ from jaxbrdf.brdf.square_warp import (
     SquareWarp,
     flatten,
     interpolate,
+    once,
     square_warp,
     unflatten,
 )
@@ -106,24 +106,22 @@ class AdaptiveBRDF(AbstractBRDF):
         table = jnp.arange(P * T, dtype=jnp.int32).reshape(P, T, 1, 1)
         corners = [(jnp.broadcast_to(table, (P, T, K, K)), jnp.ones((P, T, K, K), wi.dtype))]
         side = jnp.linspace(0, 1, K, dtype=wi.dtype)
-        u = jnp.stack(jnp.broadcast_arrays(side[None, :], side[:, None]), axis=-1)
-        u = jnp.broadcast_to(u, (P, T, K, K, 2))
+        u = jnp.broadcast_to(side, (P, T, K, K)), jnp.broadcast_to(side[:, None], (P, T, K, K))
         point, visible = unflatten(square_warp(_flat(self.vndf)), corners, u)
         m = self._normal(point, wi)
         return Nodes(wi, reflect(wi, m), self._ratio(point, wi), visible / self._solid_angle(point, m, wi))
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         wi, wo = self._folded(wi, wo)
-        # Barriers keep XLA from doing all of this anew for each of the numbers that are gathered
-        point, corners = optimization_barrier((self._place(half_vector(wi, wo), wi), self._corners(wi)))
-        s, _ = optimization_barrier(flatten(square_warp(_flat(self.vndf)), corners, point))
-        f = interpolate(_flat(self.values), corners, s) * self._ratio(point, wi)
+        point, corners = self._place(wi + wo, wi), self._corners(wi)
+        s, _ = flatten(square_warp(_flat(self.vndf)), corners, point)
         above = both_above(wi, wo)
-        return jnp.where(above, f / jnp.where(above, cos_theta(wo), 1), 0)
+        factor = self._ratio(point, wi) / jnp.where(above, cos_theta(wo), 1)  # one division for all channels
+        return jnp.where(above, interpolate(_flat(self.values), corners, s) * factor, 0)
 
     def _ratio(self, point: Point, wi: Direction) -> Float[Array, "..."]:
         """D(m) / (4 σ(wi)) for m at a point of the square; 1 where `jacobian` is 0."""
-        alone = [(jnp.zeros(point.shape[:-1], jnp.int32), jnp.ones(point.shape[:-1], wi.dtype))]
+        alone = [(jnp.zeros(point[0].shape, jnp.int32), jnp.ones(point[0].shape, wi.dtype))]
         D = interpolate(jnp.asarray(self.ndf)[None], alone, point)
         sigma = interpolate(jnp.asarray(self.sigma)[None], alone, _square(*to_spherical(wi)))
         return jnp.where(self.jacobian[0] > 0, safe_divide(D, 4 * sigma), 1)
@@ -131,7 +129,7 @@ class AdaptiveBRDF(AbstractBRDF):
     def _sample(self, u: Float[Array, "... 2"], wo: Direction) -> Direction:
         folded, sign = self._fold(wo)
         corners = self._corners(folded)
-        s, _ = unflatten(self._shares(), corners, u)
+        s, _ = unflatten(self._shares(), corners, (u[..., 0], u[..., 1]))
         point, _ = unflatten(square_warp(_flat(self.vndf)), corners, s)
         return reflect(folded, self._normal(point, folded)) * sign
 
@@ -145,7 +143,7 @@ class AdaptiveBRDF(AbstractBRDF):
 
     def _solid_angle(self, point: Point, m: Direction, w: Direction) -> Float[Array, "..."]:
         """dω of directions w is mirrored to, for the area of the square around its normal m."""
-        d_omega_m = 2 * jnp.pi**2 * point[..., 0] * safe_sqrt(1 - cos_theta(m) ** 2)
+        d_omega_m = 2 * jnp.pi**2 * point[0] * safe_sqrt(1 - cos_theta(m) ** 2)
         return jnp.maximum(d_omega_m, _POLE) * 4 * jnp.abs(dot(w, m))
 
     def _weight(self, wo: Direction) -> Float[Array, "..."]:
@@ -165,15 +163,15 @@ class AdaptiveBRDF(AbstractBRDF):
         ]
 
     def _place(self, m: Direction, wi: Direction) -> Point:
-        """Where a normal lies in the square, for light from wi."""
+        """Where a normal, of any length, lies in the square, for light from wi."""
         theta, phi = to_spherical(m)
-        return _square(theta, phi - to_spherical(wi)[1] if self.is_isotropic else phi)
+        return once(_square(theta, phi - to_spherical(wi)[1] if self.is_isotropic else phi))
 
     def _normal(self, point: Point, wi: Direction) -> Direction:
         """The normal at a point of the square: undoes `_place`."""
-        phi = (2 * point[..., 1] - 1) * jnp.pi
+        phi = (2 * point[1] - 1) * jnp.pi
         phi = phi + to_spherical(wi)[1] if self.is_isotropic else phi
-        return spherical(point[..., 0] ** 2 * (jnp.pi / 2), phi)
+        return spherical(point[0] ** 2 * (jnp.pi / 2), phi)
 
     def _folded(self, incident: Direction, other: Direction) -> tuple[Direction, Direction]:
         """The pair mirrored or turned so that the first lies among the azimuths of the tables."""
@@ -204,7 +202,7 @@ def _flat(tables: Array | np.ndarray) -> Array:
 def _square(theta: Float[Array, "..."], phi: Float[Array, "..."]) -> Point:
     """Where a direction lies in the unit square."""
     turn = phi / (2 * jnp.pi) + 0.5
-    return jnp.stack([safe_sqrt(theta * (2 / jnp.pi)), turn - jnp.floor(turn)], axis=-1)
+    return safe_sqrt(theta * (2 / jnp.pi)), turn - jnp.floor(turn)
 
 
 def _around(x: Float[Array, "..."], nodes: Array | np.ndarray) -> Corners:
@@ -212,6 +210,8 @@ def _around(x: Float[Array, "..."], nodes: Array | np.ndarray) -> Corners:
     if len(nodes) == 1:
         return [(jnp.zeros(x.shape, jnp.int32), jnp.ones_like(x))]
     at = jnp.asarray(nodes, x.dtype)
-    lower = jnp.clip(jnp.searchsorted(at, x, side="right") - 1, 0, len(nodes) - 2).astype(jnp.int32)
+    lower = jnp.clip(
+        jnp.searchsorted(at, x, side="right", method="compare_all") - 1, 0, len(nodes) - 2
+    ).astype(jnp.int32)
     w = jnp.clip((x - at[lower]) / (at[lower + 1] - at[lower]), 0, 1)
     return [(lower, 1 - w), (lower + 1, w)]

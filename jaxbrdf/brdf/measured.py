@@ -49,6 +49,13 @@ class MeasuredBRDF(AbstractBRDF):
     wavelengths: Float[np.ndarray, " C"] | None = None
     origin: tuple[str, ...] = eqx.field(static=True, default=())
 
+    def __check_init__(self):
+        expected, found = (*self.grid.shape, *self.scale.shape), self.raw.shape
+        if found != expected:
+            raise ValueError(
+                f"MeasuredBRDF: raw must have the shape {expected} of grid and scale; found {found}"
+            )
+
     @property
     def values(self) -> np.ndarray:
         """Reflectance (H, D, P, C) in 1/sr, NaN where the sample is invalid. Reads the whole table."""

@@ -2,7 +2,7 @@ r"""Densities over the unit square, bilinear between the nodes of a table, and t
 
 A family of S tables (S, M, N) belongs to S values of a parameter; between those the tables are mixed
 linearly. `corners` are the tables to be mixed at each point: pairs of an index and a weight, of the points'
-shape. The first coordinate of a point runs along a table's rows (N nodes), the second across them (M nodes).
+shape. A point is a pair of arrays: x runs along a table's rows (N nodes), y across them (M nodes).
 
 The maps are Mitsuba's `Marginal2D`, which the parameterisation of Dupuy & Jakob 2018 is built on: a point's
 second coordinate goes by the marginal density, its first by the density along its row.
@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from jaxbrdf.special import safe_divide, safe_sqrt
 
 Corners = Sequence[tuple[Int[Array, "..."], Float[Array, "..."]]]
-Point = Float[Array, "... 2"]
+Point = tuple[Float[Array, "..."], Float[Array, "..."]]
 
 
 class SquareWarp(NamedTuple):
@@ -40,49 +40,51 @@ def square_warp(table: Float[Array, "S M N"]) -> SquareWarp:
     return SquareWarp(table / total[:, None, None], along / total[:, None, None], across / total[:, None])
 
 
+def once(point: Point) -> Point:
+    """The same point, computed once: XLA would do it anew for each of the numbers that are read there."""
+    together = jax.lax.optimization_barrier(jnp.stack(point))
+    return together[0], together[1]
+
+
 def interpolate(table: Float[Array, "S M N"], corners: Corners, point: Point) -> Float[Array, "..."]:
     """The tables at a point of the square, mixed."""
-    (column, x), (row, y) = (_cell(point[..., k], table.shape[2 - k]) for k in (0, 1))
-    v = _mix(_cells(table), corners, row, column)
-    return (1 - y) * ((1 - x) * v[0] + x * v[1]) + y * ((1 - x) * v[2] + x * v[3])
+    (column, x), (row, y) = (_cell(point[k], table.shape[2 - k]) for k in (0, 1))
+    v00, v10, v01, v11 = _of_cell(table, corners, row, column)
+    return (1 - y) * ((1 - x) * v00 + x * v10) + y * ((1 - x) * v01 + x * v11)
 
 
 def flatten(warp: SquareWarp, corners: Corners, point: Point) -> tuple[Point, Float[Array, "..."]]:
     """Where the map takes a point, so that points of this density become evenly distributed; the density."""
     rows, columns = warp.density.shape[1:]
-    (column, x), (row, y) = (_cell(point[..., k], n) for k, n in ((0, columns), (1, rows)))
-    packed = jnp.concatenate([_cells(warp.density), _pairs_across(warp.along)], axis=-1)
-    v00, v10, v01, v11, before_0, before_1 = _mix(packed, corners, row, column)
-    whole_0, whole_1, below = _mix(_rows(warp), corners, row)
+    (column, x), (row, y) = _cell(point[0], columns), _cell(point[1], rows)
+    v00, v10, v01, v11 = _of_cell(warp.density, corners, row, column)
+    before_0, before_1 = (_mix(warp.along, corners, row + k, column) for k in (0, 1))
+    whole_0, whole_1, below = _of_row(warp, corners, row)
     left, right = (1 - y) * v00 + y * v01, (1 - y) * v10 + y * v11
     within = x * (left + x / 2 * (right - left)) / (columns - 1)
     first = safe_divide((1 - y) * before_0 + y * before_1 + within, (1 - y) * whole_0 + y * whole_1)
-    second = below + y * (whole_0 + y / 2 * (whole_1 - whole_0)) / (rows - 1)
-    return jnp.stack([first, second], axis=-1), (1 - x) * left + x * right
+    below += y * (whole_0 + y / 2 * (whole_1 - whole_0)) / (rows - 1)
+    second = below / _mix(warp.across[:, -1], corners)  # which is 1; for a division see `special.arctan2`
+    return (first, second), (1 - x) * left + x * right
 
 
 def unflatten(warp: SquareWarp, corners: Corners, u: Point) -> tuple[Point, Float[Array, "..."]]:
     """The point that `flatten` takes to u, and the density there: evenly distributed u give such points."""
     rows, columns = warp.density.shape[1:]
-
-    def below(row):
-        return _mix(warp.across[..., None], corners, row)[0]
-
-    row = _last_below(below, u[..., 1], rows)
-    whole_0, whole_1, start = _mix(_rows(warp), corners, row)
-    y = _solve(whole_0, whole_1, (u[..., 1] - start) * (rows - 1))
-    target = u[..., 0] * ((1 - y) * whole_0 + y * whole_1)
-    between = _pairs_across(jnp.pad(warp.along, ((0, 0), (0, 0), (0, 1))))
+    row = _last_below(lambda row: _mix(warp.across, corners, row), u[1], rows)
+    whole_0, whole_1, start = _of_row(warp, corners, row)
+    y = _solve(whole_0, whole_1, (u[1] - start) * (rows - 1))
+    target = u[0] * ((1 - y) * whole_0 + y * whole_1)
 
     def before(column):
-        lower, upper = _mix(between, corners, row, column)
+        lower, upper = (_mix(warp.along, corners, row + k, column) for k in (0, 1))
         return (1 - y) * lower + y * upper
 
     column = _last_below(before, target, columns)
-    v00, v10, v01, v11 = _mix(_cells(warp.density), corners, row, column)
+    v00, v10, v01, v11 = _of_cell(warp.density, corners, row, column)
     left, right = (1 - y) * v00 + y * v01, (1 - y) * v10 + y * v11
     x = _solve(left, right, (target - before(column)) * (columns - 1))
-    point = jnp.stack([(column + x) / (columns - 1), (row + y) / (rows - 1)], axis=-1)
+    point = (column + x) / (columns - 1), (row + y) / (rows - 1)
     return point, (1 - x) * left + x * right
 
 
@@ -99,25 +101,25 @@ def _cell(x: Float[Array, "..."], nodes: int) -> tuple[Int[Array, "..."], Float[
     return index, position - index
 
 
-def _cells(table: Float[Array, "S M N"]) -> Float[Array, "S m n 4"]:
-    """The four corners of each cell side by side: one run of memory is read faster than four numbers."""
-    return jnp.stack([table[:, :-1, :-1], table[:, :-1, 1:], table[:, 1:, :-1], table[:, 1:, 1:]], axis=-1)
+def _of_cell(table, corners: Corners, row, column) -> list[Array]:
+    """The four corners of a cell, mixed: along the row first."""
+    return [_mix(table, corners, row + j, column + i) for j in (0, 1) for i in (0, 1)]
 
 
-def _pairs_across(along: Float[Array, "S M N"]) -> Float[Array, "S m n 2"]:
-    return jnp.stack([along[:, :-1, :-1], along[:, 1:, :-1]], axis=-1)
-
-
-def _rows(warp: SquareWarp) -> Float[Array, "S m 3"]:
-    """Of each row of cells the integrals along its two rows of nodes, and what is below it."""
+def _of_row(warp: SquareWarp, corners: Corners, row) -> tuple[Array, Array, Array]:
+    """The integrals along the two rows of nodes of a row of cells, and what is below it; mixed."""
     whole = warp.along[..., -1]
-    return jnp.stack([whole[:, :-1], whole[:, 1:], warp.across[:, :-1]], axis=-1)
+    return _mix(whole, corners, row), _mix(whole, corners, row + 1), _mix(warp.across, corners, row)
 
 
-def _mix(packed: Float[Array, "S *cells k"], corners: Corners, *index: Int[Array, "..."]) -> list[Array]:
-    """The numbers at a cell of the tables, mixed over `corners`: k arrays of the index's shape."""
-    mixed = reduce(add, (packed[(table, *index)] * weight[..., None] for table, weight in corners))
-    return [mixed[..., k] for k in range(packed.shape[-1])]
+def _mix(table: Float[Array, "S ..."], corners: Corners, *index: Int[Array, "..."]) -> Float[Array, "..."]:
+    """The tables' numbers at an index, mixed; read one by one, of which XLA makes one loop."""
+
+    def read(t):
+        at = reduce(lambda at, axis: at * axis[0] + axis[1], zip(table.shape[1:], index, strict=True), t)
+        return table.reshape(-1).at[at].get(mode="clip")
+
+    return reduce(add, (read(t) * weight for t, weight in corners))
 
 
 def _last_below(cumulative: Callable, target: Float[Array, "..."], nodes: int) -> Int[Array, "..."]:

@@ -22,7 +22,7 @@ _STYLES = {"R": ("#D55E00", "o"), "G": ("#009E73", "s"), "B": ("#0072B2", "^")}
 _OTHER = ("#444444", "o")
 _BANDS = ((490, "B"), (585, "G"), (800, "R"))  # nm: up to where a wavelength is drawn as which
 
-_INCIDENCES = (10, 30, 50, 70)  # degrees, the lobes of Bagher et al. 2012, Fig. 9
+_INCIDENCES = (10.0, 30.0, 50.0, 70.0)  # degrees, the lobes of Bagher et al. 2012, Fig. 9
 _UNUSED = 70  # degrees: the slice beyond this θ_d is not fitted (Bagher et al. 2012, section 5.2)
 _GRAZING = np.radians(80)  # what is measured beyond may be anything, and does not set the scale
 

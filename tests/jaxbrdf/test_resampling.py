@@ -238,16 +238,16 @@ def test_a_channel_without_samples_does_not_blunt_the_others():
 
 def test_incidences_are_those_measured_above_the_horizon():
     """Goniometers state 90 degrees, too, and ALTA's parameterisations reach below the horizon."""
-    theta = np.radians([10.0, 30.0, 50.0, 70.0, 90.0, 110.0])
+    theta = np.radians([10.0, 20, 30, 40, 50, 60, 70, 80, 90, 110])
     theta_i, theta_o, phi_o = (
-        a.ravel() for a in np.meshgrid(theta, theta[:4], np.radians([0, 60, 120, 180]))
+        a.ravel() for a in np.meshgrid(theta, theta[:7:2], np.radians([0, 60, 120, 180]))
     )
     zero = np.zeros(len(theta_i))
     values = np.full((len(zero), 1), 0.5 / np.pi)
     brdf = jb.as_adaptive(jb.MeasuredSamples(theta_i, zero, theta_o, phi_o, values, zero + 1))
-    assert_allclose(brdf.theta_i, theta[:5], atol=2e-4)
+    assert_allclose(brdf.theta_i, theta[:9], atol=2e-4)
     assert brdf.theta_i.max() < np.pi / 2
-    assert_allclose(evaluate(brdf, *pairs(200, lowest=0.1)), 0.5 / np.pi, rtol=0.2)
+    assert_allclose(evaluate(brdf, *pairs(200, lowest=0.2)), 0.5 / np.pi, rtol=0.1)
 
 
 # How far records are from each other
