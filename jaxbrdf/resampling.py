@@ -154,9 +154,10 @@ def _above(wi: Directions, wo: Directions) -> tuple[Directions, Directions]:
 def as_table(reflectance: Reflectance, grid: HalfDifferenceGrid | None = None) -> MeasuredBRDF:
     """Any isotropic reflectance as a table on a grid, by default MERL's.
 
-    A table on that grid is left as it is. Such a table is reciprocal: the mean of both orders is taken, which
-    for a measurement of one order differ. Cells that samples do not reach are invalid, −1, as are those below
-    the horizon. Samples count as those of an isotropic surface; ValueError for any other that is not.
+    A table on that grid is left as it is. Such a table is reciprocal: where f(wi, wo) and f(wo, wi) differ,
+    as in some measurements, it holds their mean. Cells that samples do not reach are invalid, −1, as are
+    those below the horizon. Samples count as those of an isotropic surface. Raises ValueError for any other
+    reflectance that is not isotropic.
     """
     grid = merl_grid() if grid is None else grid
     if isinstance(reflectance, MeasuredBRDF) and _same_grid(reflectance.grid, grid):
@@ -235,11 +236,7 @@ def _frame(reflectance: Reflectance, isotropic: bool) -> AdaptiveBRDF:
         theta_i=_single(theta_i),
         phi_i=_single(phi_i),
         ndf=_single(np.repeat(D, 2, axis=0) if isotropic else D),  # two rows, the least between which to mix
-        sigma=_single(
-            np.stack([_integral(np.maximum(m @ v, 0) * facets) for v in around.reshape(-1, 3)]).reshape(
-                around.shape[:2]
-            )
-        ),
+        sigma=_single(np.apply_along_axis(lambda v: _integral(np.maximum(m @ v, 0) * facets), -1, around)),
         vndf=_single(_visible(w, m, facets)),
         luminance=blank[..., 0],
         values=blank,
