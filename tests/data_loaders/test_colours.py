@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import colour
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -10,6 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from data_loaders import to_rgb
 from data_loaders.colours import linear_srgb
 from jaxbrdf import AdaptiveBRDF, HalfDifferenceGrid, Lambertian, MeasuredBRDF, MeasuredSamples
+
+with np.printoptions():  # its import sets how numpy prints, for all tests that follow
+    import colour
 
 NM = np.arange(400, 701, 10)  # as Cornell measures
 WAVELENGTHS = NM / 1000
