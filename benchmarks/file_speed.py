@@ -12,8 +12,7 @@ both; compilation apart). Mitsuba takes the LLVM that DRJIT_LIBLLVM_PATH names; 
 import argparse
 import csv
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from evaluate import best_of, directions, mitsuba_is_there, theirs
 from rich.console import Console
 from rich.table import Table
 
@@ -41,17 +41,6 @@ class Row(NamedTuple):
     ours: float
     rival: str
     theirs: float | None
-
-
-def best_of(repeat: int, run: Callable[[], object]) -> float:
-    """Seconds of the fastest run; the first, which may compile, is not counted."""
-    run()
-    seconds = []
-    for _ in range(repeat):
-        begin = time.perf_counter()
-        run()
-        seconds.append(time.perf_counter() - begin)
-    return min(seconds)
 
 
 def merl(path: Path, folder: Path, repeat: int) -> Iterator[Row]:
@@ -91,47 +80,24 @@ def text(folder: Path, repeat: int) -> Iterator[Row]:
         yield Row(f"{suffix.upper()}, {LINES:,} lines read", ours, "loadtxt", theirs)
 
 
-def directions() -> tuple[np.ndarray, np.ndarray]:
-    """Pairs above the horizon, even over the solid angle, in single precision."""
-    rng = np.random.default_rng(1)
-
-    def half():
-        cos, phi = rng.uniform(1e-3, 1, PAIRS), rng.uniform(-np.pi, np.pi, PAIRS)
-        sin = np.sqrt(1 - cos**2)
-        return np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], axis=-1).astype(np.float32)
-
-    return half(), half()
-
-
 def rgl(path: Path, repeat: int) -> Iterator[Row]:
     yield Row("RGL, read", best_of(repeat, lambda: dl.read_rgl(path)), "", None)
     brdf = jax.tree.map(jnp.asarray, dl.read_rgl(path).anonymous)
-    wi, wo = directions()
+    wi, wo = directions(PAIRS)
     evaluate = eqx.filter_jit(lambda brdf, wi, wo: brdf(wi, wo))
-    placed = jnp.array(wi), jnp.array(wo)
+    placed = jnp.array(wi, np.float32), jnp.array(wo, np.float32)
     ours = best_of(repeat, lambda: evaluate(brdf, *placed).block_until_ready())
     yield Row(f"RGL, {PAIRS:,} pairs", ours, "Mitsuba", mitsuba(path, wi, wo, repeat))
 
 
 def mitsuba(path: Path, wi: np.ndarray, wo: np.ndarray, repeat: int) -> float | None:
     """Seconds of the plugin's `eval`; None where there is no Mitsuba or no LLVM."""
-    try:
-        import drjit as dr
-        import mitsuba as mi
-
-        mi.set_variant("llvm_ad_rgb")
-        bsdf = mi.load_dict({"type": "measured", "filename": str(path)})
-    except (ImportError, RuntimeError):
+    if not mitsuba_is_there():
         return None
-    interaction = dr.zeros(mi.SurfaceInteraction3f, PAIRS)
-    interaction.wi, there = mi.Vector3f(wi.T), mi.Vector3f(wo.T)
-    dr.eval(interaction, there)
+    import mitsuba
 
-    def run():
-        dr.eval(bsdf.eval(mi.BSDFContext(), interaction, there))
-        dr.sync_thread()
-
-    return best_of(repeat, run)
+    mitsuba.set_variant("llvm_ad_rgb")
+    return theirs({"type": "measured", "filename": str(path)}, wi, wo, repeat) * len(wi) / 1e9
 
 
 def print_table(rows: list[Row]) -> None:

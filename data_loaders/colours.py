@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbrdf import AbstractBRDF, AdaptiveBRDF, MeasuredBRDF, MeasuredSamples
+from jaxbrdf import AdaptiveBRDF, MeasuredBRDF
+from jaxbrdf.resampling import Measurement, Reflectance
 
 _VISIBLE = np.arange(360, 781) / 1000  # µm; what is seen outside is less than 1e-4 of the whole
 
@@ -26,7 +27,7 @@ def linear_srgb(wavelengths: ArrayLike, spectrum: ArrayLike) -> np.ndarray:
     return np.asarray(spectrum, dtype=float) @ _to_srgb(np.asarray(wavelengths, dtype=float))
 
 
-def to_rgb(reflectance: AbstractBRDF | MeasuredSamples) -> AbstractBRDF | MeasuredSamples:
+def to_rgb(reflectance: Reflectance) -> Reflectance:
     """A measurement with the channels R, G and B, linear: of spectra by `linear_srgb`, of grey three alike.
 
     One that has them already is left as it is, and so is a model. A sample, or a cell of a table, that is not
@@ -34,7 +35,7 @@ def to_rgb(reflectance: AbstractBRDF | MeasuredSamples) -> AbstractBRDF | Measur
     that channel counts as invalid. Raises ValueError for other channels without wavelengths, ImportError
     without colour-science.
     """
-    if not isinstance(reflectance, MeasuredSamples | MeasuredBRDF | AdaptiveBRDF):
+    if not isinstance(reflectance, Measurement):
         return reflectance
     values, wavelengths = reflectance.values, reflectance.wavelengths
     channels = values.shape[-1]

@@ -16,18 +16,8 @@ from data_loaders.minidiff import is_minidiff, read_minidiff
 from data_loaders.rgl import read_rgl, write_rgl
 from data_loaders.store import FIT, load_fit, read_hdf5, write_hdf5
 from data_loaders.tensor_file import is_tensor_file
-from jaxbrdf import (
-    AbstractBRDF,
-    AdaptiveBRDF,
-    MeasuredBRDF,
-    MeasuredSamples,
-    as_adaptive,
-    as_samples,
-    as_table,
-)
-from jaxbrdf.arrays import channel_count
-
-Reflectance = AbstractBRDF | MeasuredSamples
+from jaxbrdf import AbstractBRDF, MeasuredBRDF, as_adaptive, as_samples, as_table
+from jaxbrdf.resampling import Measurement, Reflectance, count_channels
 
 _HEAD = 4096  # bytes that tell the formats apart
 
@@ -44,17 +34,13 @@ def _read_hdf5(path: AnyPath) -> Reflectance:
 
 def _as_merl(reflectance: Reflectance) -> MeasuredBRDF:
     """A table in one or three channels; a spectrum's would fill the memory before it is refused."""
-    count = (
-        reflectance.values.shape[1]
-        if isinstance(reflectance, MeasuredSamples)
-        else channel_count(reflectance) or 1
-    )
-    spectral = getattr(reflectance, "wavelengths", None) is not None  # three of them are no R, G and B either
-    if spectral or count not in (1, 3):
+    count = count_channels(reflectance)
+    spectral = isinstance(reflectance, Measurement) and reflectance.wavelengths is not None
+    if spectral or count not in (1, 3):  # three wavelengths are no R, G and B either
         raise ValueError(
             f"a MERL file holds R, G and B; this reflectance has {count} "
-            f"{'wavelengths' if spectral else 'channels'}: make colours of spectra "
-            "(rgb=True or --rgb), or write RGL, HDF5, ALTA or CSV"
+            f"{'wavelengths' if spectral else 'channels'}: make colours of spectra (`to_rgb`, --rgb), or "
+            "write RGL, HDF5, ALTA or CSV"
         )
     return as_table(reflectance)
 
@@ -102,20 +88,18 @@ def read_brdf(path: AnyPath) -> Reflectance:
     return recognise(path).read(path)
 
 
-def write_brdf(path: AnyPath, reflectance: Reflectance, rgb: bool = False) -> Reflectance:
+def write_brdf(path: AnyPath, reflectance: Reflectance) -> Reflectance:
     """Writes any reflectance, measured or a model, in the format that the suffix of `path` names.
 
     What is returned is what was written: the same where the format holds it as it is, and else resampled by
     `jaxbrdf.as_table` (MERL), `as_adaptive` (RGL) or `as_samples` (ALTA, CSV); `resampling_error` has the
-    difference. With `rgb` spectra become colours, see `to_rgb`; grey becomes three
-    equal channels where the format needs colours. An old file stays until the new one is whole. Raises
-    ValueError for what the format cannot hold, DataError for a suffix that is not written and where `path`
-    cannot be.
+    difference. Grey becomes three equal channels where the format needs colours; of spectra `to_rgb` makes
+    some. An old file stays until the new one is whole. Raises ValueError for what the format cannot hold,
+    DataError for a suffix that is not written and where `path` cannot be.
     """
     kind = _written_as(path)
-    record = kind.record(to_rgb(reflectance) if rgb else reflectance)
-    if rgb or (kind.colours and _is_grey(record)):
-        record = to_rgb(record)
+    record = kind.record(reflectance)
+    record = to_rgb(record) if kind.colours and _is_grey(record) else record
     assert kind.write is not None
     kind.write(path, record)
     return record
@@ -153,6 +137,4 @@ def _listed(formats: Iterable[Format]) -> str:
 
 def _is_grey(record: Reflectance) -> bool:
     """Whether it has one channel, of no wavelength."""
-    if not isinstance(record, MeasuredBRDF | AdaptiveBRDF):
-        return False
-    return record.wavelengths is None and channel_count(record) == 1
+    return isinstance(record, Measurement) and record.wavelengths is None and count_channels(record) == 1

@@ -6,7 +6,8 @@ from data_loaders.errors import DataError
 from data_loaders.files import AnyPath
 from data_loaders.hdf5_record import Kind, read_record, write_record
 from data_loaders.provenance import Source
-from jaxbrdf import AbstractBRDF, FitResult, MeasuredSamples
+from jaxbrdf import FitResult
+from jaxbrdf.resampling import Reflectance
 
 FIT = Kind("jaxbrdf fit", "result")
 REFLECTANCE = Kind("jaxbrdf reflectance", "reflectance")
@@ -34,7 +35,7 @@ def load_fit(path: AnyPath) -> FitResult:
     return result
 
 
-def write_hdf5(path: AnyPath, reflectance: AbstractBRDF | MeasuredSamples, source: Source = None) -> None:
+def write_hdf5(path: AnyPath, reflectance: Reflectance, source: Source = None) -> None:
     """Writes a reflectance, measured or a model; `read_hdf5` gives it back bit for bit.
 
     Raises as `save_fit` does.
@@ -42,10 +43,10 @@ def write_hdf5(path: AnyPath, reflectance: AbstractBRDF | MeasuredSamples, sourc
     write_record(path, REFLECTANCE, reflectance, source)
 
 
-def read_hdf5(path: AnyPath) -> AbstractBRDF | MeasuredSamples:
+def read_hdf5(path: AnyPath) -> Reflectance:
     """The reflectance that `write_hdf5` wrote. Raises DataError as `load_fit` does."""
     reflectance = read_record(path, REFLECTANCE)
-    if not isinstance(reflectance, AbstractBRDF | MeasuredSamples):
+    if not isinstance(reflectance, Reflectance):
         raise DataError(path, "a reflectance", f"a {type(reflectance).__name__}")
     _check_shapes(path, reflectance)
     return reflectance

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.ndimage import distance_transform_edt
 
 from jaxbrdf import checks
+from jaxbrdf.arrays import channel_count
 from jaxbrdf.brdf.adaptive import AdaptiveBRDF
 from jaxbrdf.brdf.base import AbstractBRDF
 from jaxbrdf.brdf.measured import MeasuredBRDF
@@ -21,6 +22,7 @@ from jaxbrdf.quadrature import HalfDifferenceGrid, merl_grid
 from jaxbrdf.samples import MeasuredSamples
 from jaxbrdf.scattered import interpolate
 
+Measurement = MeasuredSamples | MeasuredBRDF | AdaptiveBRDF
 Reflectance = AbstractBRDF | MeasuredSamples
 Directions = Float[np.ndarray, "... 3"]
 
@@ -43,6 +45,13 @@ class ResamplingError(NamedTuple):
     relative_l2: Float[np.ndarray, " C"]
     median: Float[np.ndarray, " C"]
     pairs: int
+
+
+def count_channels(reflectance: Reflectance) -> int:
+    """How many numbers `evaluate` gives for each pair."""
+    if isinstance(reflectance, MeasuredSamples):
+        return reflectance.values.shape[1]
+    return channel_count(reflectance) or 1
 
 
 def evaluate(
@@ -71,7 +80,7 @@ def resampling_error(before: Reflectance, after: Reflectance) -> ResamplingError
     ValueError where the channels are not as many, unless one of both is grey.
     """
     known = as_samples(before)
-    channels = known.values.shape[1], evaluate(after, np.empty((0, 3)), np.empty((0, 3))).shape[1]
+    channels = count_channels(known), count_channels(after)
     if 1 not in channels and channels[0] != channels[1]:
         raise ValueError(f"channels must be as many in both, or one; found {channels[0]} and {channels[1]}")
     rows = np.flatnonzero((np.maximum(known.theta_i, known.theta_o) < _GRAZING) & known.valid.any(axis=1))
@@ -191,7 +200,7 @@ def _is_isotropic(brdf: AbstractBRDF) -> bool:
 
 def _about(reflectance: Reflectance) -> dict:
     """What a measurement says of itself, for the record that it becomes."""
-    if not isinstance(reflectance, MeasuredSamples | MeasuredBRDF | AdaptiveBRDF):
+    if not isinstance(reflectance, Measurement):
         return {}
     return {name: getattr(reflectance, name) for name in ("wavelengths", "name", "origin")}
 

@@ -11,6 +11,12 @@ import jaxbrdf as jb
 SCRIPTS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
+@pytest.fixture(autouse=True)
+def as_run(monkeypatch):
+    """A script that is run finds those beside it."""
+    monkeypatch.syspath_prepend(SCRIPTS)
+
+
 def load(name: str):
     spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
     assert spec is not None

@@ -69,6 +69,11 @@ class MeasuredBRDF(AbstractBRDF):
         return _above(grid.theta_h[:, None, None], grid.theta_d[None, :, None], grid.phi_d[None, None, :])
 
     @property
+    def missing_share(self) -> np.ndarray:
+        """The share of the cells above the horizon that hold no valid sample, (C,)."""
+        return np.mean(~(self.raw[self.above_horizon] >= 0), axis=0)
+
+    @property
     def anonymous(self) -> "MeasuredBRDF":
         """The same without name and origin; see `AbstractBRDF.anonymous`."""
         return replace(self, name="", origin=())

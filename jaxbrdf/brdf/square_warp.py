@@ -63,8 +63,7 @@ def flatten(warp: SquareWarp, corners: Corners, point: Point) -> tuple[Point, Fl
     left, right = (1 - y) * v00 + y * v01, (1 - y) * v10 + y * v11
     within = x * (left + x / 2 * (right - left)) / (columns - 1)
     first = safe_divide((1 - y) * before_0 + y * before_1 + within, (1 - y) * whole_0 + y * whole_1)
-    below += y * (whole_0 + y / 2 * (whole_1 - whole_0)) / (rows - 1)
-    second = below / _mix(warp.across[:, -1], corners)  # which is 1; for a division see `special.arctan2`
+    second = below + y * (whole_0 + y / 2 * (whole_1 - whole_0)) / (rows - 1)
     return (first, second), (1 - x) * left + x * right
 
 

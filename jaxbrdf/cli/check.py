@@ -143,8 +143,7 @@ def _missing(brdf: AbstractBRDF) -> dict[str, Any]:
     """The share of a table's cells above the horizon that hold no sample; None for a formula."""
     if not isinstance(brdf, MeasuredBRDF):
         return {"missing_share": None}
-    above = brdf.raw[brdf.above_horizon]
-    return {"missing_share": np.mean(~(above >= 0), axis=0).tolist()}
+    return {"missing_share": brdf.missing_share.tolist()}
 
 
 def _values(brdf: AbstractBRDF) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class ConvertTask(batch.Task[Reflectance, Reflectance, dict[str, Any]]):
         return [to_rgb(reflectance) if self.rgb else reflectance for reflectance in inputs]
 
     def save(self, path: Path, content: Reflectance, output: Reflectance) -> dict[str, Any]:
-        written = write_brdf(self.target, output, rgb=self.rgb)
+        written = write_brdf(self.target, output)
         again = read_brdf(self.target)
         about = {
             "source": str(path),
@@ -61,7 +61,10 @@ def run(source: Path, target: Path, rgb: bool = False, force: bool = False, as_j
     _refuse_nonsense(source, target, force)
     jax.config.update("jax_enable_x64", True)
     outcome = batch.run([source], ConvertTask(target, rgb), Console(stderr=True))
-    for document in outcome.records.values():
+    documents = list(outcome.records.values())
+    if as_json:
+        documents += [{"source": str(path), "error": text} for path, text in outcome.errors.items()]
+    for document in documents:
         print(report.to_json(document) if as_json else _in_words(document))
     report.say_failures(outcome, 1)
     return outcome.exit_status

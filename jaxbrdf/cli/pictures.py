@@ -24,7 +24,7 @@ _BANDS = ((490, "B"), (585, "G"), (800, "R"))  # nm: up to where a wavelength is
 
 _INCIDENCES = (10.0, 30.0, 50.0, 70.0)  # degrees, the lobes of Bagher et al. 2012, Fig. 9
 _UNUSED = 70  # degrees: the slice beyond this θ_d is not fitted (Bagher et al. 2012, section 5.2)
-_GRAZING = np.radians(80)  # what is measured beyond may be anything, and does not set the scale
+GRAZING = np.radians(80)  # what is measured beyond may be anything, and does not set the scale
 
 
 def material(
@@ -79,15 +79,28 @@ def _draw_slices(
     f_d = _evaluate(model, *from_half_difference(table.theta_h_mirror, 0.0, theta_d, half))
     _draw_slice(axes[0], (table.theta_h, table.m_h), (theta_h, f_h), channels)
     _draw_slice(axes[1], (table.theta_d, table.m_d), (theta_d, f_d), channels)
-    axes[0].set_xscale("function", functions=(root, np.square))
-    axes[0].set_xticks([0, 1, 5, 10, 20, 30, 45, 60, 90])
-    axes[0].set(xlim=(0, 90), xlabel=r"half angle $\theta_h$ (degrees), at $\theta_d = 0$", ylabel="f (1/sr)")
-    axes[1].set(xlim=(0, 90), xlabel=r"difference angle $\theta_d$ (degrees), at $\theta_h = 0$")
+    dress_slices(axes)
     axes[1].axvspan(_UNUSED, 90, color="0.9", zorder=0)
     axes[1].text(80, 0.03, "slice unused", transform=axes[1].get_xaxis_transform(), ha="center", color="0.4")
 
 
-def root(theta: np.ndarray) -> np.ndarray:
+def dress_slices(axes: Sequence[Axes]) -> None:
+    """The scales and names of the backscattering and the mirror slice."""
+    axes[0].set_xscale("function", functions=(_root, np.square))
+    axes[0].set_xticks([0, 1, 5, 10, 20, 30, 45, 60, 90])
+    axes[0].set(xlim=(0, 90), xlabel=r"half angle $\theta_h$ (degrees), at $\theta_d = 0$", ylabel="f (1/sr)")
+    axes[1].set(xlim=(0, 90), xlabel=r"difference angle $\theta_d$ (degrees), at $\theta_h = 0$")
+
+
+def set_range(ax: Axes, values: np.ndarray) -> None:
+    """A logarithmic axis of f that holds the positive values."""
+    positive = values[values > 0]
+    if positive.size:
+        ax.set(yscale="log", ylim=(positive.min() / 1.6, positive.max() * 1.6))
+    ax.grid(color="0.92", linewidth=0.6)
+
+
+def _root(theta: np.ndarray) -> np.ndarray:
     """The scale on which MERL's θ_h cells are evenly spaced."""
     return np.sqrt(np.maximum(theta, 0))
 
@@ -100,11 +113,7 @@ def _draw_slice(ax: Axes, points: tuple, line: tuple, channels: Sequence[str]) -
             np.rad2deg(points[0]), points[1][:, c], marker, color=colour, markersize=3.5, alpha=0.45, mew=0
         )
         ax.plot(np.rad2deg(line[0]), line[1][:, c % line[1].shape[1]], color=colour, linewidth=1.6)
-    shown = points[1][points[0] < _GRAZING]
-    positive = shown[shown > 0]
-    if positive.size:
-        ax.set(yscale="log", ylim=(positive.min() / 1.6, positive.max() * 1.6))
-    ax.grid(color="0.92", linewidth=0.6)
+    set_range(ax, points[1][points[0] < GRAZING])
 
 
 def _legend(channels: Sequence[str]) -> list[Line2D]:

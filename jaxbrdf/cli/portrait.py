@@ -27,8 +27,7 @@ def draw(reflectance: Reflectance, name: str) -> Figure:
     upper, lower = pictures.two_rows(figure)
     slices = upper.subplots(1, 3)
     styles = [pictures.style(channel) for channel in sources.channels(reflectance)]
-    _draw_slice(slices[0], reflectance, styles, "theta_h")
-    _draw_slice(slices[1], reflectance, styles, "theta_d")
+    _draw_slices(list(slices[:2]), reflectance, styles)
     _draw_image(slices[2], coloured)
     incidences = _incidences(reflectance)
     lobes = np.atleast_1d(lower.subplots(1, len(incidences)))
@@ -43,26 +42,20 @@ def draw(reflectance: Reflectance, name: str) -> Figure:
     return figure
 
 
-def _draw_slice(ax: Axes, reflectance: Reflectance, styles: Sequence[tuple], axis: str) -> None:
-    """f along the backscattering (θ_d = 0) or the mirror slice (θ_h = 0)."""
+def _draw_slices(axes: Sequence[Axes], reflectance: Reflectance, styles: Sequence[tuple]) -> None:
+    """f along the backscattering slice, θ_d = 0, and the mirror slice, θ_h = 0."""
     half = np.pi / 2
-    angle = half * np.linspace(0, 1, 400, endpoint=False) ** (2 if axis == "theta_h" else 1)
-    angles = (angle, 0.0, 0.0, half) if axis == "theta_h" else (1e-4, 0.0, angle, half)
-    f = _values(reflectance, *from_half_difference(*angles))
-    for values, (colour, _) in zip(f.T, styles, strict=True):
-        ax.plot(np.rad2deg(angle), values, color=colour, linewidth=1.4)
-    shown = f[(angle < np.radians(80))[:, None] & (f > 0)]
-    if shown.size:
-        ax.set(yscale="log", ylim=(shown.min() / 1.6, shown.max() * 1.6))
-    ax.set(xlim=(0, 90), ylabel="f (1/sr)" if axis == "theta_h" else "")
-    ax.grid(color="0.92", linewidth=0.6)
-    if axis == "theta_h":
-        ax.set_xscale("function", functions=(pictures.root, np.square))
-        ax.set_xticks([0, 1, 5, 10, 20, 45, 90])
-    words = "half angle $\\theta_h$ (degrees), at $\\theta_d = 0$"
-    ax.set_xlabel(
-        words if axis == "theta_h" else "difference angle $\\theta_d$ (degrees), at $\\theta_h = 0$"
-    )
+    theta_d = half * np.linspace(0, 1, 400, endpoint=False)
+    theta_h = theta_d**2 / half
+    pictures.dress_slices(axes)
+    for ax, angle, pairs in (
+        (axes[0], theta_h, from_half_difference(theta_h, 0.0, 0.0, half)),
+        (axes[1], theta_d, from_half_difference(0.0, 0.0, theta_d, half)),
+    ):
+        f = _values(reflectance, *pairs)
+        for values, (colour, _) in zip(f.T, styles, strict=True):
+            ax.plot(np.rad2deg(angle), values, color=colour, linewidth=1.4)
+        pictures.set_range(ax, f[angle < pictures.GRAZING])
 
 
 def _draw_image(ax: Axes, reflectance: Reflectance) -> None:

@@ -154,7 +154,7 @@ def _(samples: MeasuredSamples) -> list[float] | None:
 
 @_invalid_share.register
 def _(table: MeasuredBRDF) -> list[float] | None:
-    return np.mean(~(table.raw[table.above_horizon] >= 0), axis=0).tolist()
+    return table.missing_share.tolist()
 
 
 @_invalid_share.register

@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from data_loaders import published, read_brdf, recognise
-from jaxbrdf import AbstractBRDF, AdaptiveBRDF, MeasuredBRDF, MeasuredSamples, Scaled, Sum
-from jaxbrdf.arrays import channel_count
+from jaxbrdf import AdaptiveBRDF, MeasuredBRDF, MeasuredSamples, Scaled, Sum
 from jaxbrdf.cli.report import channel_names
-from jaxbrdf.resampling import Reflectance
+from jaxbrdf.resampling import Measurement, Reflectance, count_channels
 
 
 def is_published(path: Path) -> bool:
@@ -47,9 +46,7 @@ def kind(reflectance: Reflectance) -> str:
 
 def wavelengths(reflectance: Reflectance) -> np.ndarray | None:
     """Those of a measurement's channels, µm, where they are known."""
-    if isinstance(reflectance, MeasuredSamples | MeasuredBRDF | AdaptiveBRDF):
-        return reflectance.wavelengths
-    return None
+    return reflectance.wavelengths if isinstance(reflectance, Measurement) else None
 
 
 def channels(reflectance: Reflectance) -> list[str]:
@@ -57,6 +54,4 @@ def channels(reflectance: Reflectance) -> list[str]:
     known = wavelengths(reflectance)
     if known is not None:
         return [f"{1000 * x:.4g} nm" for x in known]
-    if isinstance(reflectance, AbstractBRDF):
-        return channel_names(channel_count(reflectance) or 1)
-    return channel_names(reflectance.values.shape[1])
+    return channel_names(count_channels(reflectance))

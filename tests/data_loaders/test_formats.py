@@ -277,7 +277,7 @@ def test_spectra(tmp_path):
         assert_allclose(read_brdf(tmp_path / f"x{suffix}").wavelengths, source.wavelengths, rtol=1e-6)
     for suffix in WRITTEN:
         path = tmp_path / f"x{suffix}"
-        written = write_brdf(path, source, rgb=True)
+        written = write_brdf(path, to_rgb(source))
         assert written.wavelengths is None
         back = read_brdf(path)
         assert back.wavelengths is None
@@ -287,11 +287,11 @@ def test_spectra(tmp_path):
 
 
 def test_colour_of_grey_and_of_models(tmp_path):
-    for source, suffix in ((some_samples(), ".csv"), (GGX, ".alta")):
-        written = write_brdf(tmp_path / f"x{suffix}", source, rgb=True)
-        assert_array_equal(written.values, jb.as_samples(source).values * np.ones(3))
+    for source, suffix in ((some_samples(), ".csv"), (jb.as_samples(GGX), ".alta")):
+        written = write_brdf(tmp_path / f"x{suffix}", to_rgb(source))
+        assert_array_equal(written.values, source.values * np.ones(3))
     brown = jb.Lambertian(jnp.array([0.5, 0.4, 0.3]))
-    assert write_brdf(tmp_path / "x.h5", brown, rgb=True) is brown
+    assert write_brdf(tmp_path / "x.h5", to_rgb(brown)) is brown
     write_brdf(tmp_path / "x.binary", brown)
     back = read_brdf(tmp_path / "x.binary")
     assert_allclose(back.values[0, 0, 0], np.array([0.5, 0.4, 0.3]) / np.pi, rtol=1e-12)
@@ -400,7 +400,7 @@ RESAMPLED = {
 def test_real_files_resampled(name, suffix, shared_data, tmp_path):
     source = read_brdf(shared_data / name)
     path = tmp_path / f"x{suffix}"
-    write_brdf(path, source, rgb=True)
+    write_brdf(path, to_rgb(source))
     error = jb.resampling_error(to_rgb(source), read_brdf(path))
     l2, median = RESAMPLED[name, suffix]
     assert error.pairs > 50

@@ -73,6 +73,8 @@ def test_spectra_become_colours_where_asked(folder):
     assert refused.exit_code == 2
     assert "--rgb" in refused.stderr
     assert not (folder / "z.binary").exists()
+    document = json.loads(run("convert", folder / "spectral.csv", folder / "z.binary", "--json").stdout)
+    assert "--rgb" in document["error"]
     assert run("convert", folder / "spectral.csv", folder / "z.csv", "--rgb").exit_code == 0
     assert read_brdf(folder / "z.csv").values.shape[1] == 3
 
