@@ -1,4 +1,4 @@
-from . import metrics
+from . import metrics, preview
 from .brdf.abc import ABC, SmoothABC
 from .brdf.adaptive import AdaptiveBRDF
 from .brdf.ashikhmin_materials import ASHIKHMIN_MATERIALS, ashikhmin_material
@@ -67,10 +67,12 @@ from .ndf.tabulated import TabulatedNDF
 from .ndf.tabulated_area import TabulatedArea, tabulate_projected_area
 from .ndf.trowbridge_reitz import TrowbridgeReitz
 from .ndf.velvet import SlantedVelvet, Velvet
+from .preview import Appearance, lab_difference, render
 from .quadrature import HalfDifferenceGrid, hemisphere, merl_grid
 from .resampling import ResamplingError, as_adaptive, as_samples, as_table, resampling_error
 from .samples import MeasuredSamples
 from .scattered import SampleAlbedos, sample_albedos
+from .scene import Lamp, Scene, Surroundings, lit_sphere, lit_surface
 from .shadowing import (
     AbstractShadowing,
     AzimuthCorrelated,
@@ -96,6 +98,7 @@ __all__ = [
     "AbstractVisibleNDF",
     "AdaptiveBRDF",
     "AnisotropicPhong",
+    "Appearance",
     "AshikhminShirley",
     "AshikhminShirleyDiffuse",
     "AshikhminShirleyLobe",
@@ -124,6 +127,7 @@ __all__ = [
     "KirchhoffBRDF",
     "Lafortune",
     "Lambertian",
+    "Lamp",
     "Lazanyi",
     "LinearSchlick",
     "MeasuredBRDF",
@@ -137,6 +141,7 @@ __all__ = [
     "RoughMetal",
     "SampleAlbedos",
     "Scaled",
+    "Scene",
     "Schlick",
     "ShiftedGamma",
     "ShiftedGammaBRDF",
@@ -146,6 +151,7 @@ __all__ = [
     "SmoothABC",
     "StudentT",
     "Sum",
+    "Surroundings",
     "TabulatedArea",
     "TabulatedNDF",
     "TrowbridgeReitz",
@@ -170,14 +176,19 @@ __all__ = [
     "half_vector",
     "hemisphere",
     "kappa_from_reflectance",
+    "lab_difference",
     "largest_albedo",
+    "lit_sphere",
+    "lit_surface",
     "log_upper_gamma",
     "merl_grid",
     "metrics",
     "mixture",
     "normalized_l2",
+    "preview",
     "reciprocity_error",
     "reflect",
+    "render",
     "resampling_error",
     "sample_albedos",
     "smith_G1",

@@ -115,7 +115,7 @@ def _with_samples(brdf: AbstractBRDF, wi: Direction) -> Float[Array, ""]:
     """
     nodes, d_omega_o = _nodes(wi)
     wo = jnp.concatenate([nodes, _drawn(brdf, wi, _SAMPLES)])
-    spread = _spread(wi, wo)
+    spread = half_vector_spread(wi, wo)
     light = _light(brdf, wi, wo) / (1 + 3 * _density(brdf, wi, wo) * spread)
     n = len(nodes)
     return jnp.sum(light[:n] * d_omega_o) + jnp.mean(light[n:] * 3 * spread[n:])
@@ -135,23 +135,23 @@ def _nodes(wi: Direction) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
     r, weights = (a[:, None] for a in gauss_legendre(128, wi.dtype))
     phi = (jnp.arange(n_phi, dtype=wi.dtype) + 0.25)[None, :] * (2 * jnp.pi / n_phi)
     _, phi_i = to_spherical(wi)
-    h = spherical(_last_theta_h(wi, phi) * r**3, phi_i + phi)
+    h = spherical(last_theta_h(wi, phi) * r**3, phi_i + phi)
     wo = reflect(jnp.broadcast_to(wi, h.shape), h)
-    d_omega_o = _spread(wi, wo) * weights / n_phi
+    d_omega_o = half_vector_spread(wi, wo) * weights / n_phi
     return wo.reshape(-1, 3), d_omega_o.ravel()
 
 
-def _spread(wi: Direction, wo: Direction) -> Float[Array, "..."]:
+def half_vector_spread(wi: Direction, wo: Direction) -> Float[Array, "..."]:
     """1/q = dω_o / (dr dφ/2π), with dω_o = 4 (wi·h) sin θ_h dθ_h dφ_h and θ_h = θ_max r³."""
     wi = jax.lax.stop_gradient(jnp.broadcast_to(wi, wo.shape))
     h = half_vector(wi, wo)
     theta_h, phi_h = to_spherical(h)
-    theta_max = _last_theta_h(wi, phi_h - to_spherical(wi)[1])
+    theta_max = last_theta_h(wi, phi_h - to_spherical(wi)[1])
     r2 = jnp.cbrt(safe_divide(theta_h, theta_max)) ** 2
     return 4 * dot(wi, h) * jnp.sin(theta_h) * 3 * theta_max * r2 * 2 * jnp.pi
 
 
-def _last_theta_h(wi: Direction, phi: Float[Array, "..."]) -> Float[Array, "..."]:
+def last_theta_h(wi: Direction, phi: Float[Array, "..."]) -> Float[Array, "..."]:
     """The θ_h at which wo meets the horizon: tan 2θ_h = cos θ_i / (−sin θ_i cos φ), φ = φ_h − φ_i."""
     theta_i, _ = to_spherical(wi)
     return jnp.arctan2(jnp.cos(theta_i), -jnp.sin(theta_i) * jnp.cos(phi)) / 2
