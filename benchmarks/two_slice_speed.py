@@ -25,7 +25,8 @@ from scipy.optimize import least_squares
 from data_loaders import read_merl_slices
 from fitting import fit_shifted_gamma
 from fitting.parameters import ShapeSpace
-from fitting.two_slice import exact_residual, lowest, slice_lanes, slice_samples, starts
+from fitting.starts import lowest
+from fitting.two_slice import exact_residual, slice_lanes, slice_samples, starts
 from jaxbrdf import ShiftedGamma, Slices
 
 

@@ -1,11 +1,21 @@
+from .factors import fit_factors
 from .least_squares import nonnegative_least_squares
+from .losses import LOSSES, Loss, compressed, robust
 from .masking_approximation import fit_masking
 from .recipes import RECIPES, fit_shifted_gamma, fit_two_slice
+from .reflectance import fit_losses, fit_reflectance
 
 __all__ = [
+    "LOSSES",
     "RECIPES",
+    "Loss",
+    "compressed",
+    "fit_factors",
+    "fit_losses",
     "fit_masking",
+    "fit_reflectance",
     "fit_shifted_gamma",
     "fit_two_slice",
     "nonnegative_least_squares",
+    "robust",
 ]

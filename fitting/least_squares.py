@@ -101,16 +101,47 @@ def solve_lanes(
 @lru_cache
 def _one_round(residual, max_steps, tolerance):
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+    few = _compressed(residual)
 
     def solve(lane, shared):
         t, data = lane
         found = optx.least_squares(
-            residual, solver, t, (data, shared), {"jac": "fwd"}, max_steps=max_steps, throw=False
+            few, solver, t, (data, shared), {"jac": "fwd"}, max_steps=max_steps, throw=False
         )
         cost = jnp.sum(residual(found.value, (data, shared)) ** 2) / 2
         return found.value, cost, found.stats["num_steps"], found.result == optx.RESULTS.successful
 
     return solve
+
+
+def _compressed(residual):
+    r"""n + 1 numbers that Levenberg–Marquardt cannot tell from N residuals r of n unknowns.
+
+        RᵀR = [J r]ᵀ[J r],   R upper triangular: r̃ = R's last column, J̃ the others
+
+    A step asks for JᵀJ, Jᵀr and ‖r‖ alone, and J̃, r̃ have the same. They are all that the solver then
+    carries along, where the linearisation of a large residual would be dozens of arrays of its size.
+    """
+
+    def factor(t, args):
+        J, r = jax.jacfwd(lambda t: (residual(t, args),) * 2, has_aux=True)(t)
+        columns = jnp.concatenate([J.T, r[None, :]])
+        gram = columns @ columns.T
+        squares = jnp.diagonal(gram)
+        scale = jnp.sqrt(jnp.where(squares > 0, squares, 1))
+        correlation = gram / jnp.outer(scale, scale) + 1e-14 * jnp.eye(len(scale), dtype=gram.dtype)
+        return jnp.linalg.cholesky(correlation).T * (scale * (squares > 0))[None, :]
+
+    @jax.custom_jvp
+    def few(t, args):
+        return factor(t, args)[:, -1]
+
+    @few.defjvp
+    def _(primals, tangents):
+        R = factor(*primals)
+        return R[:, -1], R[:, :-1] @ tangents[0]
+
+    return few
 
 
 def map_lanes(function: Callable, lanes: Any, shared: Any = None, block: int | None = None) -> Any:

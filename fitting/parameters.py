@@ -38,13 +38,13 @@ class ShapeSpace(eqx.Module):
         """The distribution at t, with parameters of shape (...)."""
         u = jnp.clip(t, 0, 1)
         return self.ndf_class(
-            **{name: _value(r, u[..., k]) for k, (name, r) in enumerate(self.ranges.items())}
+            **{name: value_at(r, u[..., k]) for k, (name, r) in enumerate(self.ranges.items())}
         )
 
-    def shape_of(self, ndf: AbstractNDF) -> np.ndarray:
+    def shape_of(self, ndf: AbstractNDF) -> Float[Array, "... n"]:
         """The t of a distribution: undoes `ndf`; parameters (...) to (..., n)."""
-        shares = [_share(r, np.asarray(getattr(ndf, name))) for name, r in self.ranges.items()]
-        return np.stack(np.broadcast_arrays(*shares), axis=-1)
+        shares = [share_of(r, jnp.asarray(getattr(ndf, name))) for name, r in self.ranges.items()]
+        return jnp.stack(jnp.broadcast_arrays(*shares), axis=-1)
 
     def values(self, t: Float[Array, " n"]) -> Float[Array, " n"]:
         """The parameters at t, in the order of `names`."""
@@ -58,8 +58,13 @@ class ShapeSpace(eqx.Module):
 
     def grid(self, points: int) -> np.ndarray:
         """About `points` shapes t evenly over [0, 1]ⁿ, none of them on a bound: (G, n)."""
-        side = round(points ** (1 / len(self.names)))
-        return combinations(*[(np.arange(side) + 0.5) / side] * len(self.names))
+        return unit_grid(points, len(self.names))
+
+
+def unit_grid(points: int, dimensions: int) -> np.ndarray:
+    """About `points` points evenly over [0, 1]ⁿ, none on a bound: (G, n); the last axis runs first."""
+    side = round(points ** (1 / dimensions))
+    return combinations(*[(np.arange(side) + 0.5) / side] * dimensions)
 
 
 def combinations(*axes: np.ndarray) -> np.ndarray:
@@ -67,9 +72,11 @@ def combinations(*axes: np.ndarray) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def _value(r: Range, u):
+def value_at(r: Range, u):
+    """The number at the share u of a range."""
     return r.low * (r.high / r.low) ** u if r.log else r.low + (r.high - r.low) * u
 
 
-def _share(r: Range, value):
-    return np.log(value / r.low) / np.log(r.high / r.low) if r.log else (value - r.low) / (r.high - r.low)
+def share_of(r: Range, value):
+    """The share of a range at which a number lies: undoes `value_at`."""
+    return jnp.log(value / r.low) / np.log(r.high / r.low) if r.log else (value - r.low) / (r.high - r.low)

@@ -9,7 +9,6 @@ subsample, the normalized L2 error never grows from one recipe to the next.
 """
 
 import dataclasses
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple, cast
 
@@ -20,13 +19,14 @@ import numpy as np
 from fitting.cook_torrance import LobeSamples, linear_parameters
 from fitting.covariance import sandwich
 from fitting.least_squares import map_lanes
+from fitting.outcome import means_nothing, statuses, warn_of_float32
 from fitting.parameters import ShapeSpace
 from fitting.two_slice import SliceLanes, TwoSliceFit, fit_slices, slice_lanes, slice_samples
 from fitting.whole_table import refine, refit_linear, subsample, table_lanes
 from jaxbrdf.brdf.cook_torrance import CookTorrance
 from jaxbrdf.brdf.measured import MeasuredBRDF, Slices
 from jaxbrdf.brdf.shifted_gamma import ShiftedGammaBRDF
-from jaxbrdf.fit_result import FitResult, FitStatus
+from jaxbrdf.fit_result import FitResult
 from jaxbrdf.fresnel import LinearSchlick
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.shifted_gamma import ShiftedGamma
@@ -73,7 +73,7 @@ def fit_two_slice(
         raise ValueError(f"unknown recipe {recipe!r}: expected one of {', '.join(RECIPES)}")
     alone = not isinstance(measured, Sequence)
     materials = [measured] if isinstance(measured, Measured) else list(measured)
-    _warn_of_float32()
+    warn_of_float32()
     space = _shape_space(ndf)
     slices = [m if isinstance(m, Slices) else m.slices() for m in materials]
     _check(materials, slices, recipe)
@@ -109,15 +109,6 @@ def _shape_space(ndf: AbstractNDF | type[AbstractNDF]) -> ShapeSpace:
             "distribution, such as its class"
         )
     return ShapeSpace(type(ndf))
-
-
-def _warn_of_float32() -> None:
-    if not jax.config.read("jax_enable_x64"):
-        warnings.warn(
-            "fitting in float32: expect fewer digits and fits that do not converge; "
-            "call jax.config.update('jax_enable_x64', True) first",
-            stacklevel=3,
-        )
 
 
 def _check(materials: Sequence[Measured], slices: list[Slices], recipe: str) -> None:
@@ -177,22 +168,19 @@ def _jacobian_and_model(samples: LobeSamples, t, x):
 
 
 def _status(fit: _Lanes, enough: np.ndarray) -> np.ndarray:
-    finite = np.isfinite(fit.cost) & np.all(np.isfinite(fit.x), axis=1) & np.all(np.isfinite(fit.t), axis=1)
-    on_bound = np.any((fit.t <= 0) | (fit.t >= 1), axis=1)
-    cases = {
-        FitStatus.TOO_FEW_SAMPLES: ~enough,
-        FitStatus.NOT_FINITE: ~finite,
-        FitStatus.NO_LOBE: np.all(fit.x[:, 1:] == 0, axis=1),
-        FitStatus.STEP_LIMIT: ~fit.converged,
-        FitStatus.AT_BOUND: on_bound,
-    }
-    return np.select(list(cases.values()), list(cases), FitStatus.CONVERGED)
+    return statuses(
+        enough=enough,
+        finite=np.isfinite(fit.cost) & np.isfinite(fit.x).all(axis=1) & np.isfinite(fit.t).all(axis=1),
+        no_lobe=np.all(fit.x[:, 1:] == 0, axis=1),
+        converged=fit.converged,
+        on_bound=np.any((fit.t <= 0) | (fit.t >= 1), axis=1),
+    )
 
 
 def _result(space, fit: _Lanes, status: np.ndarray, samples, lanes: SliceLanes) -> FitResult:
     """The record of L lanes; parameters that mean nothing are NaN."""
     linear, shape, residuals = map_lanes(_describe, (fit.t, fit.x, lanes), samples)
-    nothing = np.isin(status, (FitStatus.TOO_FEW_SAMPLES, FitStatus.NOT_FINITE))[:, None]
+    nothing = means_nothing(status)[:, None]
     rho_d, rho_s, f0, f1 = np.where(nothing, np.nan, linear).T
     ndf = space.ndf_class(**dict(zip(space.names, np.where(nothing, np.nan, shape).T, strict=True)))
     return FitResult(

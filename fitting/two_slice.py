@@ -13,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import minimum_filter
 
 from fitting.cook_torrance import CONSTANT_FRESNEL, LobeSamples, lobe_samples, solve_linear
 from fitting.least_squares import map_lanes, solve_lanes
+from fitting.losses import normalised
 from fitting.parameters import ShapeSpace
+from fitting.starts import grid_minima, lowest
 from jaxbrdf.brdf.measured import Slices
 from jaxbrdf.directions import from_half_difference, spherical
 
@@ -62,16 +63,11 @@ def slice_lanes(slices: list[Slices]) -> SliceLanes:
     values_h, values_d = np.where(used_h, m_h, 0), np.where(used_d, m_d, 0)
     return SliceLanes(
         values_h,
-        _normalised(used_h * np.cos(first.theta_h) ** 2 / (values_h + _FLOOR), values_h),
+        normalised(used_h * np.cos(first.theta_h) ** 2 / (values_h + _FLOOR), values_h),
         values_d,
-        _normalised(used_d * np.cos(first.theta_d) ** 2, values_d),
+        normalised(used_d * np.cos(first.theta_d) ** 2, values_d),
         (used_h.sum(1) >= _FEWEST) & np.any(values_h > 0, axis=1),
     )
-
-
-def _normalised(weight, values):
-    total = np.sum(weight * values**2, axis=1, keepdims=True)
-    return weight * (100 / np.where(total > 0, total, 1))
 
 
 def slice_samples(space: ShapeSpace, slices: Slices) -> tuple[LobeSamples, LobeSamples]:
@@ -97,12 +93,6 @@ def fit_slices(lanes: SliceLanes, samples: tuple[LobeSamples, LobeSamples]) -> T
     t = np.clip(found.t[best], 0, 1)
     x = map_lanes(_linear_steps, (t, lanes), samples)
     return TwoSliceFit(t, x, found.cost[best], found.steps[best], found.converged[best])
-
-
-def lowest(cost: np.ndarray, lane: np.ndarray, count: int) -> np.ndarray:
-    """The index of the lowest cost of each lane, (count,)."""
-    order = np.lexsort((np.nan_to_num(cost, nan=np.inf), lane))
-    return order[np.searchsorted(lane[order], np.arange(count))]
 
 
 def exact_residual(t, args):
@@ -138,19 +128,10 @@ def _diffuse_and_lobe(lobe):
 
 
 def starts(lanes: SliceLanes, back: LobeSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Where to start: the local minima of the step-1 error on a grid of shapes, lanes (S,) and shapes (S, n).
-
-    Minima of more than twice a lane's lowest error are left out, and all but its three lowest.
-    """
+    """Where to start: local minima of the step-1 error on a grid of shapes, lanes (S,) and shapes (S, n)."""
     grid, lobes = _grid_lobes(back.space, np.asarray(back.h, float).tobytes())
-    error = _grid_errors(lanes, lobes)
-    side = round(len(grid) ** (1 / grid.shape[1]))
-    cube = error.reshape(len(error), *[side] * grid.shape[1])
-    lowest_around = minimum_filter(cube, size=(1, *[3] * grid.shape[1]), mode="nearest").reshape(error.shape)
-    minima = np.where(error <= lowest_around, error, np.inf)
-    three = np.argsort(minima, axis=1, kind="stable")[:, :3]
-    near = np.take_along_axis(minima, three, axis=1) <= 2 * error.min(axis=1, keepdims=True)
-    return np.nonzero(near)[0], grid[three[near]]
+    lane, point = grid_minima(_grid_errors(lanes, lobes), grid.shape[1])
+    return lane, grid[point]
 
 
 @lru_cache(maxsize=8)

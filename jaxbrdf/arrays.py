@@ -8,7 +8,7 @@ Batches of models are not made here: they are `jax.vmap` over the model's leaves
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any
@@ -60,14 +60,16 @@ def parameter(
     fitted: Range | None = None,
     optional: bool = False,
     default: float | None = None,
+    linear: bool = False,
 ) -> Any:
     """A field of a model whose own shape has `rank` axes; one more, at the end, is the channels.
 
     A model refuses values outside the `domain` when it is made. `fitted` is the range in which a fit may look
-    for the parameter; evaluation is not bound to it. A parameter may be left out if it is `optional`, then it
-    is None, or if it has a `default`.
+    for the parameter; evaluation is not bound to it. A reflectance is `linear` in some parameters: fits look
+    for those from 0 on, without a range. A parameter may be left out if it is `optional`, then it is None, or
+    if it has a `default`.
     """
-    metadata = {"rank": rank, "domain": domain, "fitted": fitted}
+    metadata = {"rank": rank, "domain": domain, "fitted": fitted, "optional": optional, "linear": linear}
     converter = _array_or_none if optional else jnp.asarray
     if optional or default is not None:
         return eqx.field(converter=converter, metadata=metadata, default=default)
@@ -104,8 +106,8 @@ class Parametric(eqx.Module):
 
 
 def fitted_ranges(model_class: type[eqx.Module]) -> dict[str, Range]:
-    """The parameters of a class that a fit may change, by name, with their ranges."""
-    fields = dataclasses.fields(model_class)
+    """The parameters of a class that a fit may change, by name, with their ranges; no optional ones."""
+    fields = [f for f in dataclasses.fields(model_class) if not f.metadata.get("optional")]
     return {f.name: f.metadata["fitted"] for f in fields if f.metadata.get("fitted")}
 
 
@@ -143,7 +145,10 @@ def channel_count(model: Any) -> int | None:
 def _channel_axes(model: Any) -> list[int | None]:
     """For each leaf of the model: -1 where it has an axis of channels, None where it has not."""
     paths, _ = jax.tree_util.tree_flatten_with_path(model)
-    axes = [_channel_axis(leaf, _rank(model, path), jax.tree_util.keystr(path)) for path, leaf in paths]
+    axes = [
+        _channel_axis(leaf, declared(model, path).get("rank", 0), jax.tree_util.keystr(path))
+        for path, leaf in paths
+    ]
     counts = {leaf.shape[-1] for (_, leaf), axis in zip(paths, axes, strict=True) if axis == -1}
     if len(counts) > 1:
         raise ValueError(
@@ -155,7 +160,8 @@ def _channel_axes(model: Any) -> list[int | None]:
 
 def parameter_ranks(model: Any) -> list[int]:
     """The rank, without channels, that each leaf of a model was declared with."""
-    return [_rank(model, path) for path, _ in jax.tree_util.tree_flatten_with_path(model)[0]]
+    paths = jax.tree_util.tree_flatten_with_path(model)[0]
+    return [declared(model, path).get("rank", 0) for path, _ in paths]
 
 
 def _channel_axis(leaf: Array | np.ndarray, rank: int, name: str) -> int | None:
@@ -167,16 +173,16 @@ def _channel_axis(leaf: Array | np.ndarray, rank: int, name: str) -> int | None:
     return -1 if jnp.ndim(leaf) == rank + 1 else None
 
 
-def _rank(model: Any, path: tuple) -> int:
-    """The rank that the field at the end of `path` was declared with by `parameter`; 0 if it was not."""
-    rank = 0
+def declared(model: Any, path: tuple) -> Mapping[str, Any]:
+    """What `parameter` declared of the field that a leaf's `path` ends in; nothing if it was not used."""
+    metadata: Mapping[str, Any] = {}
     for key in path:
         if isinstance(key, jax.tree_util.GetAttrKey):
-            rank = type(model).__dataclass_fields__[key.name].metadata.get("rank", 0)
+            metadata = type(model).__dataclass_fields__[key.name].metadata
             model = getattr(model, key.name)
         else:
             model = model[key.idx if isinstance(key, jax.tree_util.SequenceKey) else key.key]
-    return rank
+    return metadata
 
 
 def in_chunks(function: Callable, *arrays: Array, size: int = 8192) -> Array:

@@ -14,6 +14,7 @@ from jaxbrdf.arrays import (
     Domain,
     Parameter,
     Parametric,
+    Range,
     floats,
     parameter,
     per_channel,
@@ -47,8 +48,8 @@ class Conductor(AbstractFresnel):
     on one side, are stated as 0. `data_loaders.optical_constants` knows N of metals.
     """
 
-    eta: Parameter = parameter(domain=POSITIVE)
-    kappa: Parameter = parameter(domain=NON_NEGATIVE)
+    eta: Parameter = parameter(domain=POSITIVE, fitted=Range(0.05, 20.0, log=True))
+    kappa: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(1e-3, 20.0, log=True))
 
     def _reflectance(self, c: Float[Array, "..."]) -> Float[Array, "..."]:
         return _unpolarised(c, self.eta, self.kappa)
@@ -61,7 +62,7 @@ class Dielectric(AbstractFresnel):
     F = 1, from the critical angle sin θ_d = η on. η = 1 is no boundary: F = 0, at grazing incidence too.
     """
 
-    eta: Parameter = parameter(domain=POSITIVE)
+    eta: Parameter = parameter(domain=POSITIVE, fitted=Range(1.01, 100.0, log=True))
 
     def _reflectance(self, c: Float[Array, "..."]) -> Float[Array, "..."]:
         return _unpolarised(c, self.eta, jnp.zeros_like(self.eta))
@@ -78,8 +79,8 @@ class Lazanyi(AbstractFresnel):
     a and b without the other.
     """
 
-    eta: Parameter = parameter(domain=POSITIVE)
-    kappa: Parameter = parameter(domain=NON_NEGATIVE)
+    eta: Parameter = parameter(domain=POSITIVE, fitted=Range(0.05, 20.0, log=True))
+    kappa: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(1e-3, 20.0, log=True))
     a: Parameter | None = parameter(optional=True)
     b: Parameter | None = parameter(domain=POSITIVE, optional=True)
 
@@ -100,7 +101,7 @@ class Schlick(AbstractFresnel):
     normal incidence; ValueError unless it lies in [0, 1].
     """
 
-    f0: Parameter = parameter(domain=_SHARE)
+    f0: Parameter = parameter(domain=_SHARE, fitted=Range(0.0, 1.0))
 
     def _reflectance(self, c: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.f0 + (1 - self.f0) * (1 - c) ** 5
@@ -115,8 +116,8 @@ class LinearSchlick(AbstractFresnel):
     published rows make negative: nothing is clamped here.
     """
 
-    f0: Parameter = parameter()
-    f1: Parameter = parameter()
+    f0: Parameter = parameter(fitted=Range(0.0, 1.0))
+    f1: Parameter = parameter(fitted=Range(-1.0, 1.0))
 
     def _reflectance(self, c: Float[Array, "..."]) -> Float[Array, "..."]:
         return self.f0 + (1 - self.f0) * (1 - c) ** 5 - self.f1 * c

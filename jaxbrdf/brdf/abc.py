@@ -30,7 +30,7 @@ class ABC(AbstractBRDF):
     the normal it is about 8 a F (1 − (1 + b)^{1−c}) / (b (c − 1)). Sampled by half vectors of density ∝ S.
     """
 
-    a: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(1e-3, 1e5, log=True))
+    a: Parameter = parameter(domain=NON_NEGATIVE, linear=True)
     b: Parameter = parameter(domain=POSITIVE, fitted=Range(1.0, 1e7, log=True))
     c: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(0.02, 5.0, log=True))
     eta: Parameter = parameter(domain=POSITIVE, fitted=Range(1.01, 100.0, log=True))
@@ -66,7 +66,7 @@ class SmoothABC(AbstractBRDF):
     the rim. Sampled by D_p of density ∝ S, for any c: f cos θ_i / pdf is F times a function of θ_o alone.
     """
 
-    a: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(1e-3, 1e5, log=True))
+    a: Parameter = parameter(domain=NON_NEGATIVE, linear=True)
     b: Parameter = parameter(domain=POSITIVE, fitted=Range(1.0, 1e7, log=True))
     c: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(0.02, 5.0, log=True))
     eta: Parameter = parameter(domain=POSITIVE, fitted=Range(1.01, 100.0, log=True))

@@ -26,10 +26,12 @@ class AshikhminShirley(AbstractSum):
     isotropic. The albedo is at most 1 for ρ_d ≤ 1.
     """
 
-    rho_d: Parameter = parameter()
-    rho_s: Parameter = parameter(domain=_SHARE)
+    rho_d: Parameter = parameter(linear=True)
+    rho_s: Parameter = parameter(domain=_SHARE, fitted=Range(0.0, 1.0))
     exponent_x: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(0.1, 1e6, log=True))
-    exponent_y: Parameter | None = parameter(domain=NON_NEGATIVE, optional=True)
+    exponent_y: Parameter | None = parameter(
+        domain=NON_NEGATIVE, optional=True, fitted=Range(0.1, 1e6, log=True)
+    )
 
     @property
     def parts(self) -> tuple[AbstractBRDF, ...]:
@@ -46,8 +48,8 @@ class AshikhminShirleyDiffuse(AbstractBRDF):
     else ValueError, is the reflectance of the layer at normal incidence.
     """
 
-    rho_d: Parameter = parameter()
-    rho_s: Parameter = parameter(domain=_SHARE)
+    rho_d: Parameter = parameter(linear=True)
+    rho_s: Parameter = parameter(domain=_SHARE, fitted=Range(0.0, 1.0))
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         passed = _let_through(cos_theta(wi)) * _let_through(cos_theta(wo))
@@ -79,7 +81,9 @@ class AshikhminShirleyLobe(AbstractBRDF):
 
     fresnel: AbstractFresnel
     exponent_x: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(0.1, 1e6, log=True))
-    exponent_y: Parameter | None = parameter(domain=NON_NEGATIVE, optional=True)
+    exponent_y: Parameter | None = parameter(
+        domain=NON_NEGATIVE, optional=True, fitted=Range(0.1, 1e6, log=True)
+    )
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         above = above_horizon(cos_theta(wi)) & above_horizon(cos_theta(wo))

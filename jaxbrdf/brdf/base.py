@@ -147,7 +147,7 @@ class Sum(AbstractSum):
 class Scaled(AbstractBRDF):
     """A reflectance times a `factor`, () or (C,); `factor * reflectance` makes one."""
 
-    factor: Parameter = parameter()
+    factor: Parameter = parameter(linear=True)
     brdf: AbstractBRDF  # type: ignore[misc]  # `parameter()` is no default
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:

@@ -20,8 +20,8 @@ class CookTorrance(AbstractSum):
     which reflects 4/π times the light of its facets.
     """
 
-    rho_d: Parameter = parameter()
-    rho_s: Parameter = parameter()
+    rho_d: Parameter = parameter(linear=True)
+    rho_s: Parameter = parameter(linear=True)
     ndf: AbstractNDF  # type: ignore[misc]  # `parameter()` is no default: all four are required
     fresnel: AbstractFresnel  # type: ignore[misc]
     shadowing: AbstractShadowing = Uncorrelated()

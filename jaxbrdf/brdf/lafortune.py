@@ -19,7 +19,8 @@ class Lafortune(AbstractBRDF):
     c_z = 1 is `Phong` without its (e + 2)/(2π); positive c_x reflect back to the light; c_z < −c_x leans a
     lobe towards the horizon (off-specular peaks), c_x = c_y = 0 is diffuse, ∝ (cos θ_i cos θ_o)^e. Without
     `c_y` the lobe is isotropic, c_y = c_x; without `c_z` it is 1, as s C only multiplies f by s^e.
-    `exponent` e ≥ 0, else ValueError.
+    `exponent` e ≥ 0, else ValueError. Fits keep c_x and c_y, best ±1, as a common factor of all three means
+    nothing, and seek c_z up to 1, above which high powers leave the floating-point numbers.
 
     Energy is not looked after: a lobe's albedo is at most max|c|^e 2π/(e + 2). The published factors ρ_s of
     Ngan et al. 2005 belong to ρ_s (e + 2)/(2π) f / max(|C_xy|, C_z)^e. Divide C by that maximum, as the e-th
@@ -27,9 +28,9 @@ class Lafortune(AbstractBRDF):
     """
 
     exponent: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(0.1, 1e5, log=True))
-    c_x: Parameter = parameter(fitted=Range(-2.0, 2.0))
+    c_x: Parameter = parameter()
     c_y: Parameter | None = parameter(optional=True)
-    c_z: Parameter = parameter(default=1.0)
+    c_z: Parameter = parameter(default=1.0, fitted=Range(0.0, 1.0))
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         lobe = safe_power(dot(self._stretched(wi), wo), self.exponent)

@@ -11,7 +11,7 @@ from jaxbrdf.directions import Direction
 class Lambertian(AbstractBRDF):
     """f = ρ / π: the same radiance in every direction. `albedo` ρ in [0, 1] (Lambert 1760)."""
 
-    albedo: Parameter = parameter()
+    albedo: Parameter = parameter(linear=True)
 
     def _reflectance(self, wi: Direction, wo: Direction) -> Float[Array, "..."]:
         return jnp.where(both_above(wi, wo), self.albedo / jnp.pi, 0)

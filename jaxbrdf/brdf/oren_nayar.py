@@ -24,7 +24,7 @@ class OrenNayar(AbstractBRDF):
     bound where both directions graze.
     """
 
-    albedo: Parameter = parameter()
+    albedo: Parameter = parameter(linear=True)
     sigma: Parameter = parameter(domain=NON_NEGATIVE, fitted=Range(0.0, 1.5))
     constant: Parameter = parameter(domain=POSITIVE, default=0.57)
 

@@ -1,6 +1,6 @@
 """The reflectance of Bagher, Soler & Holzschuch 2012."""
 
-from jaxbrdf.arrays import POSITIVE, Domain, Parameter, parameter
+from jaxbrdf.arrays import POSITIVE, Domain, Parameter, Range, parameter
 from jaxbrdf.brdf.base import AbstractBRDF, AbstractSum
 from jaxbrdf.brdf.cook_torrance import CookTorrance
 from jaxbrdf.fresnel import LinearSchlick
@@ -18,12 +18,12 @@ class ShiftedGammaBRDF(AbstractSum):
     `shadowing=ShiftedGammaShadowing(lam, c, k)` for the paper's approximation.
     """
 
-    rho_d: Parameter = parameter()
-    rho_s: Parameter = parameter()
-    alpha: Parameter = parameter(domain=POSITIVE)
-    p: Parameter = parameter(domain=Domain(0.0, 50.0))
-    f0: Parameter = parameter()
-    f1: Parameter = parameter()
+    rho_d: Parameter = parameter(linear=True)
+    rho_s: Parameter = parameter(linear=True)
+    alpha: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-5, 2.0, log=True))
+    p: Parameter = parameter(domain=Domain(0.0, 50.0), fitted=Range(0.0, 3.0))
+    f0: Parameter = parameter(fitted=Range(0.0, 1.0))
+    f1: Parameter = parameter(fitted=Range(-1.0, 1.0))
     shadowing: AbstractShadowing = Uncorrelated()
 
     @property

@@ -24,7 +24,7 @@ class AbstractWard(AbstractBRDF):
     """
 
     alpha_x: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-3, 3.0, log=True))
-    alpha_y: Parameter | None = parameter(domain=POSITIVE, optional=True)
+    alpha_y: Parameter | None = parameter(domain=POSITIVE, optional=True, fitted=Range(1e-3, 3.0, log=True))
 
     @abstractmethod
     def _spread(self, cos_i: Float[Array, "..."], cos_o: Float[Array, "..."]) -> Float[Array, "..."]:

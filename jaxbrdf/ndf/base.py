@@ -8,6 +8,7 @@ A distribution is written as three formulas for scalar parameters, `_density`, `
 """
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -33,6 +34,8 @@ class AbstractNDF(Parametric):
     Directions are (..., 3); results are (...), or (..., C) where parameters carry C channels. Raises
     ValueError for directions that are not unit vectors (outside jit, where their values are at hand).
     """
+
+    closed_form_area: ClassVar[bool] = False  # whether σ(w) is as cheap as D(m): a table then gains nothing
 
     def __call__(self, m: ArrayLike) -> Float[Array, "..."]:
         """D(m), 1/sr; 0 for m at and below the horizon unless the distribution says otherwise."""

@@ -21,8 +21,10 @@ class Beckmann(AbstractVisibleNDF):
     without `alpha_y` the distribution is isotropic. Raises ValueError for other values.
     """
 
+    closed_form_area = True
+
     alpha_x: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-3, 3.0, log=True))
-    alpha_y: Parameter | None = parameter(domain=POSITIVE, optional=True)
+    alpha_y: Parameter | None = parameter(domain=POSITIVE, optional=True, fitted=Range(1e-3, 3.0, log=True))
 
     @property
     def is_isotropic(self) -> bool:

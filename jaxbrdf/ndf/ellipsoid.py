@@ -23,6 +23,8 @@ class Ellipsoid(AbstractVisibleNDF):
     radians. Raises ValueError for other values.
     """
 
+    closed_form_area = True
+
     alpha_x: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-3, 3.0, log=True))
     alpha_y: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-3, 3.0, log=True))
     theta_x: Parameter = parameter(fitted=Range(-jnp.pi / 4, jnp.pi / 4))

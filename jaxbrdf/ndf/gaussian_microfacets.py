@@ -23,7 +23,7 @@ class GaussianMicrofacets(AbstractVisibleNDF):
     """
 
     sigma_x: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-3, 3.0, log=True))
-    sigma_y: Parameter | None = parameter(domain=POSITIVE, optional=True)
+    sigma_y: Parameter | None = parameter(domain=POSITIVE, optional=True, fitted=Range(1e-3, 3.0, log=True))
 
     @property
     def is_isotropic(self) -> bool:

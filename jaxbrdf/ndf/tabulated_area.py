@@ -22,6 +22,8 @@ class TabulatedArea(AbstractNDF):
     are evenly spaced. Either may have an axis of channels more.
     """
 
+    closed_form_area = True
+
     ndf: AbstractNDF
     area: Float[Array, "P A *channels"] = parameter(rank=2)
     grazing: Parameter = parameter()

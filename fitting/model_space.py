@@ -1,0 +1,207 @@
+r"""From the numbers that a solver moves to any sum of reflectances, whatever their parameters are.
+
+    f = f_0(u) + Σ_j x_j φ_j(u)
+
+x_j ≥ 0 are the parameters declared linear, u in [0, 1]ⁿ the shares of their ranges at which the others lie.
+A term of the sum with such a shape is a *lobe*; the rest (diffuse, fixed) is the base. Unknowns stand in the
+order base, first lobe, second lobe, …, so that those of a sum of fewer lobes come first.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fitting.masking import log_areas, looked_up
+from fitting.parameters import ShapeSpace, share_of, value_at
+from jaxbrdf.arrays import Range, declared, fitted_ranges
+from jaxbrdf.brdf.base import AbstractBRDF, Scaled, Sum
+from jaxbrdf.directions import Direction
+from jaxbrdf.ndf.base import AbstractNDF
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A parameter that a fit seeks: which leaf of the model it is, its name, and the term it stands in."""
+
+    leaf: int
+    name: str
+    term: int
+
+
+@dataclass(frozen=True)
+class Shape(Unknown):
+    """One in which the reflectance is not linear, and its range."""
+
+    range: Range
+
+
+class ModelSpace(eqx.Module):
+    """The unknowns of a model, and how its reflectance follows from them; made by `model_space`."""
+
+    prototype: AbstractBRDF  # one channel of it; unknowns and `own` leaves stand in for by anything
+    areas: dict[str, Array]  # log σ of families of distributions without a closed form, by class
+    shapes: tuple[Shape, ...] = eqx.field(static=True)
+    linear: tuple[Unknown, ...] = eqx.field(static=True)
+    own: tuple[int, ...] = eqx.field(static=True)  # fixed leaves that differ from channel to channel
+    lobes: tuple[int, ...] = eqx.field(static=True)  # the terms that are lobes
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All unknowns: linear ones first."""
+        return tuple(unknown.name for unknown in (*self.linear, *self.shapes))
+
+    def first_lobes(self, count: int) -> "ModelSpace":
+        """The space of the base and the first lobes; the terms of the others are left out."""
+        left_out = self.lobes[count:]
+        return replace(
+            self,
+            shapes=tuple(shape for shape in self.shapes if shape.term not in left_out),
+            linear=tuple(unknown for unknown in self.linear if unknown.term not in left_out),
+        )
+
+    def model(self, u: Float[Array, " n"], x: Float[Array, " k"], own: Sequence[Array]) -> AbstractBRDF:
+        """The reflectance of one channel, all its terms."""
+        leaves, structure = jax.tree.flatten(self.prototype)
+        for leaf, value in zip(self.own, own, strict=True):
+            leaves[leaf] = value
+        for unknown, value in zip(self.linear, x, strict=True):
+            leaves[unknown.leaf] = value
+        for unknown, value in zip(self.shapes, self.shape_values(u), strict=True):
+            leaves[unknown.leaf] = value
+        return jax.tree.unflatten(structure, leaves)
+
+    def shape_values(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
+        """The parameters at u."""
+        values = [value_at(unknown.range, u[k]) for k, unknown in enumerate(self.shapes)]
+        return jnp.stack(values) if values else u
+
+    def slopes(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
+        """d parameter / du."""
+        return jnp.diagonal(jax.jacfwd(self.shape_values)(u))
+
+    def parts(self, u, own, wi: Direction, wo: Direction, terms: Sequence[int]):
+        """f_0 (N,) and the φ of those linear unknowns that stand in some terms of the sum, (k, N)."""
+
+        def reflectance(term, x):
+            brdf = terms_of(self.model(u, jnp.asarray(x), own))[term]
+            return self._quick(brdf)._reflectance(wi, wo)
+
+        off = {term: reflectance(term, np.zeros(len(self.linear))) for term in terms}
+        basis = np.eye(len(self.linear))
+        each = [
+            reflectance(unknown.term, basis[k]) - off[unknown.term]
+            for k, unknown in enumerate(self.linear)
+            if unknown.term in terms
+        ]
+        count = wi.shape[0]
+        total = reduce(add, off.values(), jnp.zeros(count))
+        return total, jnp.stack(each) if each else jnp.zeros((0, count))
+
+    def features(self, u, own, wi: Direction, wo: Direction):
+        """f_0 (N,) and φ (k, N) of the base and of the lobes that are not left out."""
+        present = {unknown.term for unknown in (*self.shapes, *self.linear)}
+        count = len(terms_of(self.prototype))
+        return self.parts(u, own, wi, wo, [i for i in range(count) if i not in self.lobes or i in present])
+
+    def _quick(self, brdf: AbstractBRDF) -> AbstractBRDF:
+        """The same reflectance with every integrated projected area looked up."""
+
+        def look_up(node):
+            area = self.areas.get(type(node).__name__)
+            return node if area is None else looked_up(node, area)
+
+        return jax.tree.map(look_up, brdf, is_leaf=_is_ndf)
+
+
+def model_space(model: AbstractBRDF, fixed: Sequence[str] = ()) -> tuple[ModelSpace, np.ndarray, list]:
+    """The space around a model; where the model itself lies in it, u (C, n); and its `own` leaves (C, …).
+
+    C is the number of channels of the model's parameters, or 1. `fixed` names parameters that keep their
+    values; "eta" stands for every parameter of that name. Within a multiple only the factor is linear.
+    Raises ValueError for a name that fits none, and for a model without unknowns.
+    """
+    paths, structure = jax.tree_util.tree_flatten_with_path(model)
+    leaves = [jnp.asarray(leaf) for _, leaf in paths]
+    ranks = [declared(model, path).get("rank", 0) for path, _ in paths]
+    unknowns = _unknowns(model, [path for path, _ in paths], fixed)
+    shapes = tuple(unknown for unknown in unknowns if isinstance(unknown, Shape))
+    linear = tuple(unknown for unknown in unknowns if not isinstance(unknown, Shape))
+    with_channels = {i for i, (leaf, rank) in enumerate(zip(leaves, ranks, strict=True)) if leaf.ndim > rank}
+    own = tuple(sorted(with_channels - {unknown.leaf for unknown in unknowns}))
+    one_channel = [leaf[..., 0] if i in with_channels else leaf for i, leaf in enumerate(leaves)]
+    prototype = jax.tree.unflatten(structure, one_channel)
+    lobes = tuple(sorted({shape.term for shape in shapes}))
+    space = ModelSpace(prototype, _areas(prototype, lobes), shapes, linear, own, lobes)
+    starts = [np.atleast_1d(share_of(shape.range, leaves[shape.leaf])) for shape in shapes]
+    u = np.stack(np.broadcast_arrays(*starts), axis=-1) if starts else np.zeros((1, 0))
+    return space, u, [np.moveaxis(np.asarray(leaves[i]), -1, 0) for i in own]
+
+
+def _unknowns(model: AbstractBRDF, paths: Sequence[tuple], fixed: Sequence[str]) -> list[Unknown]:
+    """What a fit seeks: the base's first, then lobe by lobe."""
+    names = [jax.tree_util.keystr(path).lstrip(".") for path in paths]
+    terms = [i for i, term in enumerate(terms_of(model)) for _ in jax.tree.leaves(term)]
+    held = _held(names, fixed)
+    unknowns: list[Unknown] = []
+    for leaf, (path, name, term) in enumerate(zip(paths, names, terms, strict=True)):
+        data = declared(model, path)
+        if name not in held and data.get("fitted"):
+            unknowns.append(Shape(leaf, name, term, data["fitted"]))
+        elif name not in held and data.get("linear") and not _scaled(model, path):
+            unknowns.append(Unknown(leaf, name, term))
+    if not unknowns:
+        raise ValueError(f"nothing to fit: no free parameter in this {type(model).__name__}")
+    lobes = {unknown.term for unknown in unknowns if isinstance(unknown, Shape)}
+    return sorted(unknowns, key=lambda unknown: (unknown.term in lobes, unknown.term))
+
+
+def terms_of(model: AbstractBRDF) -> list[AbstractBRDF]:
+    """What is summed, sums within sums resolved; the leaves of all terms in a row are those of the model."""
+    if isinstance(model, Sum):
+        return [term for part in model.terms for term in terms_of(part)]
+    return [model]
+
+
+def _held(names: Sequence[str], fixed: Sequence[str]) -> set[str]:
+    """The parameters that `fixed` names."""
+    held = {wanted: [n for n in names if n == wanted or n.endswith("." + wanted)] for wanted in fixed}
+    for wanted, found in held.items():
+        if not found:
+            raise ValueError(f"fixed names no parameter: {wanted!r}; the model has {', '.join(names)}")
+    return {name for found in held.values() for name in found}
+
+
+def _scaled(model: Any, path: tuple) -> bool:
+    """Whether a leaf stands within a multiple."""
+    for key in path:
+        if isinstance(model, Scaled) and key.name == "brdf":
+            return True
+        by_name = isinstance(key, jax.tree_util.GetAttrKey)
+        model = getattr(model, key.name) if by_name else model[key.idx]
+    return False
+
+
+def _areas(model: AbstractBRDF, lobes: Sequence[int]) -> dict[str, Array]:
+    """log σ of the families of isotropic distributions in the lobes whose σ has no closed form."""
+    nodes = [node for i in lobes for node in jax.tree.leaves(terms_of(model)[i], is_leaf=_is_ndf)]
+    return {
+        type(node).__name__: jnp.asarray(log_areas(ShapeSpace(type(node))))
+        for node in nodes
+        if _is_ndf(node) and not node.closed_form_area and node.is_isotropic and _is_family(type(node))
+    }
+
+
+def _is_ndf(node: Any) -> bool:
+    return isinstance(node, AbstractNDF)
+
+
+def _is_family(ndf_class: type[AbstractNDF]) -> bool:
+    return 1 <= len(fitted_ranges(ndf_class)) <= 2

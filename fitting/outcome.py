@@ -1,0 +1,43 @@
+"""How fits ended, and a word on the precision they ran in."""
+
+import warnings
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Int
+
+from jaxbrdf.fit_result import FitStatus
+
+
+def statuses(
+    *,
+    enough: Bool[np.ndarray, " L"],
+    finite: Bool[np.ndarray, " L"],
+    no_lobe: Bool[np.ndarray, " L"],
+    converged: Bool[np.ndarray, " L"],
+    on_bound: Bool[np.ndarray, " L"],
+) -> Int[np.ndarray, " L"]:
+    """The FitStatus of each lane: the first of its troubles, in the order of the arguments."""
+    cases = {
+        FitStatus.TOO_FEW_SAMPLES: ~enough,
+        FitStatus.NOT_FINITE: ~finite,
+        FitStatus.NO_LOBE: no_lobe,
+        FitStatus.STEP_LIMIT: ~converged,
+        FitStatus.AT_BOUND: on_bound,
+    }
+    return np.select(list(cases.values()), list(cases), FitStatus.CONVERGED)
+
+
+def means_nothing(status: Int[np.ndarray, " L"]) -> Bool[np.ndarray, " L"]:
+    """Whether the parameters of a fit are no result at all."""
+    return np.isin(status, (FitStatus.TOO_FEW_SAMPLES, FitStatus.NOT_FINITE))
+
+
+def warn_of_float32() -> None:
+    """A warning where JAX runs in single precision."""
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "fitting in float32: expect fewer digits and fits that do not converge; "
+            "call jax.config.update('jax_enable_x64', True) first",
+            stacklevel=3,
+        )
