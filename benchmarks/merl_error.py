@@ -21,7 +21,7 @@ from rich.table import Table
 
 from data_loaders import published, read_merl
 from fitting import RECIPES, fit_shifted_gamma
-from jaxbrdf import MeasuredBRDF, ShiftedGammaBRDF, compare, tabulate_projected_area
+from jaxbrdf import MeasuredBRDF, ShiftedGammaBRDF, compare
 
 CHUNK = 10  # materials fitted in one call
 ANGLES = (np.pi / 2, np.deg2rad(80))
@@ -29,7 +29,7 @@ ANGLES = (np.pi / 2, np.deg2rad(80))
 
 def score(model: ShiftedGammaBRDF, measured: MeasuredBRDF) -> np.ndarray:
     """(2, C): normalized L2 over all angles, log error below 80°."""
-    errors = compare(model.as_cook_torrance(tabulate_projected_area(model.ndf)), measured, ANGLES)
+    errors = compare(model.tabulated(), measured, ANGLES)
     return np.stack([errors["normalized_l2"][0], errors["log_error"][1]])
 
 

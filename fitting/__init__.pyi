@@ -1,7 +1,10 @@
+from .catalogue import catalogue
 from .factors import fit_factors
+from .image import fit_image
 from .least_squares import nonnegative_least_squares
 from .losses import LOSSES, Loss, compressed, robust
 from .masking_approximation import fit_masking
+from .minimize import Minimum, minimize
 from .recipes import RECIPES, fit_shifted_gamma, fit_two_slice
 from .reflectance import fit_losses, fit_reflectance
 
@@ -9,13 +12,17 @@ __all__ = [
     "LOSSES",
     "RECIPES",
     "Loss",
+    "Minimum",
+    "catalogue",
     "compressed",
     "fit_factors",
+    "fit_image",
     "fit_losses",
     "fit_masking",
     "fit_reflectance",
     "fit_shifted_gamma",
     "fit_two_slice",
+    "minimize",
     "nonnegative_least_squares",
     "robust",
 ]

@@ -15,9 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 _BLOCKS = (4, 16)  # lanes: one material alone, or many
+_INSIDE = 0.01  # how far from a bound a t is set that should not be on it
 
 
 class LaneSolutions(eqx.Module):
@@ -71,17 +73,21 @@ def solve_lanes(
     start: Float[np.ndarray, "L n"],
     lanes: Any,
     shared: Any = None,
+    bounds: tuple[ArrayLike, ArrayLike] = (-np.inf, np.inf),
     *,
     steps_a_round: int = 12,
     rounds: int = 10,
     tolerance: float = 1e-6,
 ) -> LaneSolutions:
-    """Minimise ½ ‖residual(t, (lane, shared))‖² for each lane by Levenberg–Marquardt.
+    """Minimise ½ ‖residual(t, (lane, shared))‖² for each lane by Levenberg–Marquardt, low ≤ t ≤ high.
 
-    `start` (L, n); `lanes` is a pytree of arrays with a leading axis L, `shared` one that all lanes read.
-    Residuals should be of order one and t free of units: damping is λ I and starts at λ = 1.
+    `start` (L, n); `lanes` is a pytree of arrays with a leading axis L, `shared` one that all lanes read;
+    `bounds` are numbers or (n,). Residuals should be of order one and t free of units: damping is λ I and
+    starts at λ = 1. A t that steps beyond a bound counts as on it and stays there for the round; where the
+    error then falls inwards, it is set back inside for the next.
     """
-    t = np.array(start)
+    t, n = np.array(start), start.shape[1]
+    low, high = (np.broadcast_to(np.asarray(bound, float), n) for bound in bounds)
     cost, steps = np.full(len(t), np.nan), np.zeros(len(t), int)
     converged = np.zeros(len(t), bool)
     block = _block_size(len(t))
@@ -90,38 +96,51 @@ def solve_lanes(
         if not len(open_lanes):
             break
         chosen = (t[open_lanes], _rows(lanes, open_lanes))
-        found = map_lanes(_one_round(residual, steps_a_round, tolerance), chosen, shared, block)
-        t[open_lanes], cost[open_lanes], taken, done = found
-        steps[open_lanes] += taken
-        converged[open_lanes] = done
-        open_lanes = open_lanes[~done & np.isfinite(found[1])]
-    return LaneSolutions(t, cost, steps, converged)
+        found = map_lanes(_one_round(residual, steps_a_round, tolerance), chosen, (shared, low, high), block)
+        t[open_lanes], freed = _set_back(found[0], found[4], low, high)
+        cost[open_lanes] = found[1]
+        steps[open_lanes] += found[2]
+        converged[open_lanes] = found[3]
+        open_lanes = open_lanes[(~found[3] | freed) & np.isfinite(found[1])]
+    return LaneSolutions(np.clip(t, low, high), cost, steps, converged)
+
+
+def _set_back(t, gradient, low, high):
+    """The same t, but a little inside the bound that it is beyond wherever the error falls inwards; and
+    for which lanes that is so."""
+    below, above = (t < low) & (gradient < 0), (t > high) & (gradient > 0)
+    t = np.where(below, low + _INSIDE, np.where(above, high - _INSIDE, t))
+    return t, np.any(below | above, axis=1)
 
 
 @lru_cache
 def _one_round(residual, max_steps, tolerance):
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    few = _compressed(residual)
+
+    def bounded(t, args):
+        data, (shared, low, high) = args
+        return residual(jnp.clip(t, low, high), (data, shared))
+
+    factor = _factor(bounded)
+    few = _compressed(factor)
 
     def solve(lane, shared):
         t, data = lane
         found = optx.least_squares(
             few, solver, t, (data, shared), {"jac": "fwd"}, max_steps=max_steps, throw=False
         )
-        cost = jnp.sum(residual(found.value, (data, shared)) ** 2) / 2
-        return found.value, cost, found.stats["num_steps"], found.result == optx.RESULTS.successful
+        _, low, high = shared
+        # On a bound, as clip's derivative beyond it is 0; the sign is all that matters.
+        R = factor(jnp.clip(found.value, low, high), (data, shared))
+        cost, gradient = R[:, -1] @ R[:, -1] / 2, R[:, :-1].T @ R[:, -1]
+        done = found.result == optx.RESULTS.successful
+        return found.value, cost, found.stats["num_steps"], done, gradient
 
     return solve
 
 
-def _compressed(residual):
-    r"""n + 1 numbers that Levenberg–Marquardt cannot tell from N residuals r of n unknowns.
-
-        RᵀR = [J r]ᵀ[J r],   R upper triangular: r̃ = R's last column, J̃ the others
-
-    A step asks for JᵀJ, Jᵀr and ‖r‖ alone, and J̃, r̃ have the same. They are all that the solver then
-    carries along, where the linearisation of a large residual would be dozens of arrays of its size.
-    """
+def _factor(residual):
+    r"""R (n + 1, n + 1), upper triangular, with RᵀR = [J r]ᵀ[J r] for N residuals r of n unknowns."""
 
     def factor(t, args):
         J, r = jax.jacfwd(lambda t: (residual(t, args),) * 2, has_aux=True)(t)
@@ -131,6 +150,17 @@ def _compressed(residual):
         scale = jnp.sqrt(jnp.where(squares > 0, squares, 1))
         correlation = gram / jnp.outer(scale, scale) + 1e-14 * jnp.eye(len(scale), dtype=gram.dtype)
         return jnp.linalg.cholesky(correlation).T * (scale * (squares > 0))[None, :]
+
+    return factor
+
+
+def _compressed(factor):
+    r"""n + 1 numbers that Levenberg–Marquardt cannot tell from N residuals r: the last column of R.
+
+    A step asks for JᵀJ, Jᵀr and ‖r‖ alone, and R's other columns J̃ and last one r̃ have the same. They are
+    all that the solver then carries along, where the linearisation of a large residual would be dozens of
+    arrays of its size.
+    """
 
     @jax.custom_jvp
     def few(t, args):

@@ -32,12 +32,12 @@ def find_lobes(lanes: Lanes, shared: Shared, starts: int, given: np.ndarray) -> 
     lobes = len(shared.space.lobes)
     for j in range(lobes):
         lane, start = _starts(lanes, shared.first_lobes(j), shared.first_lobes(j + 1), u, starts)
-        if j == lobes - 1:
-            lane, start = np.append(lane, np.arange(count)), np.concatenate([start, given])
+        lane = np.append(lane, np.arange(count))
+        start = np.concatenate([start, np.clip(given[:, : start.shape[1]], 0, 1)])
         data = (lanes.values[lane], lanes.projected[lane], [leaf[lane] for leaf in lanes.own])
-        found = solve_lanes(_projected_residual, _angle(start), data, shared.first_lobes(j + 1))
+        found = solve_lanes(_projected_residual, start, data, shared.first_lobes(j + 1), (0, 1))
         best = lowest(found.cost, lane, count)
-        u, converged = np.asarray(_share(found.t[best])), found.converged[best]
+        u, converged = found.t[best], found.converged[best]
         steps = steps + found.steps[best]
     x = map_lanes(_linear_unknowns, (u, lanes.values, lanes.projected, lanes.own), shared)
     return LaneFit(u, x, steps, converged, np.ones(count))
@@ -86,20 +86,10 @@ def _lobe_rows(grid, own, after: Shared, term: int):
     return jax.lax.map(rows, jnp.asarray(grid), batch_size=16)
 
 
-def _share(angle):
-    """u = sin²(π t / 2): any t is a u in [0, 1], the bounds are reached, and a step beyond one leads back."""
-    return jnp.sin(jnp.pi / 2 * angle) ** 2
-
-
-def _angle(u):
-    """The t in (0, 1) of a u; not quite 0 or 1, where the derivative of u is 0 and nothing moves."""
-    return 2 / np.pi * np.arcsin(np.sqrt(np.clip(u, 0.01, 0.99)))
-
-
-def _projected_residual(t, args):
+def _projected_residual(u, args):
     """√w (f − m) at the best x ≥ 0."""
     (values, weight, own), shared = args
-    f_0, features = shared.features(_share(t), own)
+    f_0, features = shared.features(u, own)
     x = solve_linear(features, weight, values - f_0)
     return jnp.sqrt(weight) * (f_0 + x @ features - values)
 
@@ -125,7 +115,7 @@ class LossLane(NamedTuple):
 
 
 def minimised(fit: LaneFit, lanes: Lanes, shared: Shared) -> LaneFit:
-    """The minimum of each lane's loss, from that of the linearised one. x = scale y² keeps x ≥ 0."""
+    """The minimum of each lane's loss, from that of the linearised one."""
     todo = np.flatnonzero((lanes.loss.power != 1) | (lanes.loss.cutoff > 0))
     if not len(todo):
         return fit
@@ -133,13 +123,14 @@ def minimised(fit: LaneFit, lanes: Lanes, shared: Shared) -> LaneFit:
     scale = map_lanes(_scales, (fit.u[todo], lanes.values, lanes.projected, lanes.own), shared)
     u, x, spreads = fit.u[todo], fit.x[todo], fit.spread[todo]
     steps, n = np.zeros(len(todo), int), fit.u.shape[1]
+    high = np.append(np.ones(n), np.full(x.shape[1], np.inf))
     for _ in range(_ROUNDS if np.any(lanes.loss.cutoff > 0) else 1):
         r = map_lanes(_difference, (u, x, lanes.values, lanes.loss, lanes.own), shared)
         spreads = spread(r, lanes.weight > 0)
         data = LossLane(lanes.values, lanes.weight, lanes.loss, spreads, scale, lanes.own)
-        start = np.concatenate([_angle(u), np.sqrt(np.maximum(x / scale, _DIM))], axis=1)
-        found = solve_lanes(_loss_residual, start, data, shared)
-        u, x = np.asarray(_share(found.t[:, :n])), scale * found.t[:, n:] ** 2
+        start = np.concatenate([u, np.maximum(x / scale, _DIM)], axis=1)
+        found = solve_lanes(_loss_residual, start, data, shared, (0, high))
+        u, x = found.t[:, :n], scale * found.t[:, n:]
         steps += found.steps
     parts = u, x, fit.steps[todo] + steps, found.converged, spreads
     return LaneFit(*[_with_rows(old, todo, new) for old, new in zip(fit, parts, strict=True)])
@@ -170,7 +161,7 @@ def _difference(lane, shared: Shared):
 def _loss_residual(t, args):
     lane, shared = args
     n = len(t) - len(lane.scale)
-    return weighted_residual(_share(t[:n]), lane.scale * t[n:] ** 2, lane, shared)
+    return weighted_residual(t[:n], lane.scale * t[n:], lane, shared)
 
 
 def weighted_residual(u, x, lane: LossLane, shared: Shared):

@@ -87,6 +87,13 @@ class ModelSpace(eqx.Module):
         """d parameter / du."""
         return jnp.diagonal(jax.jacfwd(self.shape_values)(u))
 
+    def fitted(self, model: AbstractBRDF, numbers: Float[Array, "... n"]) -> AbstractBRDF:
+        """The model with the unknowns replaced by numbers, in the order of `names`."""
+        leaves, structure = jax.tree.flatten(model)
+        for k, unknown in enumerate((*self.linear, *self.shapes)):
+            leaves[unknown.leaf] = numbers[..., k]
+        return jax.tree.unflatten(structure, leaves)
+
     def parts(self, u, own, wi: Direction, wo: Direction, terms: Sequence[int]):
         """f_0 (N,) and the φ of those linear unknowns that stand in some terms of the sum, (k, N)."""
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from fitting.appearance import closest_picture
 from fitting.covariance import sandwich
 from fitting.lanes import LaneFit, Lanes, Shared, make_lanes
 from fitting.least_squares import map_lanes
@@ -36,8 +37,9 @@ _NOTHING = 1e-10  # lobes with less than this share of Σ w f² are none
 def fit_reflectance(
     model: AbstractBRDF,
     measured: Measurement | Sequence[Measurement],
-    loss: str | Loss = "l2",
+    loss: str | Loss | Sequence[str | Loss] = "l2",
     *,
+    select: str | None = None,
     starts: int = 3,
     fixed: Sequence[str] = (),
     max_angle: float = _LIMIT,
@@ -54,11 +56,22 @@ def fit_reflectance(
     valid samples with θ_i and θ_o below `max_angle` (radians) count; see `observe` for what is looked at.
     `starts` is how many local minima of the grid are tried for each lobe.
 
+    With `select='image'` `loss` is a sequence of several, and of the fits that they give each material gets
+    the one whose lit sphere is closest to its own in Lab (Bieron & Peers 2020; `jaxbrdf.lab_difference`).
+
     `residuals` are f − m at the directions looked at, `covariance` the sandwich estimate for the loss.
-    Raises ValueError for an unknown loss, a name in `fixed` that fits none, a model without unknowns, and
-    measurements that do not belong together. What cannot be fitted is a status.
+    Raises ValueError for an unknown loss, a name in `fixed` that fits none, a model without unknowns,
+    measurements that do not belong together, and for pictures of other channels than one or R, G and B. What
+    cannot be fitted is a status.
     """
-    return fit_losses(model, measured, [loss], starts=starts, fixed=fixed, max_angle=max_angle)[0]
+    several = not isinstance(loss, str | Loss)
+    if select != ("image" if several else None):
+        raise ValueError(
+            f"expected one loss, or several with select='image'; found {loss!r} and select={select!r}"
+        )
+    losses = loss if several else [loss]
+    results = fit_losses(model, measured, losses, starts=starts, fixed=fixed, max_angle=max_angle)
+    return closest_picture(results, measured) if several else results[0]
 
 
 def fit_losses(
@@ -164,9 +177,7 @@ def _record(model: AbstractBRDF, space: ModelSpace, found: Outcome, alone: bool)
     """The result of B materials in C channels, or of one of them."""
     if alone:
         found = Outcome(*[part[0] for part in found])
-    leaves, structure = jax.tree.flatten(model)
-    count = len(found.status)
-    held = [leaf if alone else jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))) for leaf in leaves]
-    for k, unknown in enumerate((*space.linear, *space.shapes)):
-        held[unknown.leaf] = jnp.asarray(found.numbers[..., k])
-    return FitResult(jax.tree.unflatten(structure, held), *found[1:], parameters=space.names)
+    if not alone:
+        count = len(found.status)
+        model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), model)
+    return FitResult(space.fitted(model, jnp.asarray(found.numbers)), *found[1:], parameters=space.names)

@@ -88,9 +88,9 @@ def fit_slices(lanes: SliceLanes, samples: tuple[LobeSamples, LobeSamples]) -> T
     """Both steps for every lane. A lane without a mirror slice gets F = 1, all of F_r being ρ_s."""
     back, _ = samples
     lane, start = starts(lanes, back)
-    found = solve_lanes(_residual, start, (lanes.values_h[lane], lanes.weight_h[lane]), back)
+    found = solve_lanes(_residual, start, (lanes.values_h[lane], lanes.weight_h[lane]), back, (0, 1))
     best = lowest(found.cost, lane, len(lanes.enough))
-    t = np.clip(found.t[best], 0, 1)
+    t = found.t[best]
     x = map_lanes(_linear_steps, (t, lanes), samples)
     return TwoSliceFit(t, x, found.cost[best], found.steps[best], found.converged[best])
 

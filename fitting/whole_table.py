@@ -96,7 +96,7 @@ def refine(chosen: Subsample, lanes: TableLanes, start: TableFit) -> TableFit:
     todo = np.arange(len(start.t))
     for k in range(len(_KAPPAS)):
         data = (lanes.values[todo], weights[todo, k])
-        found = solve_lanes(_residual, start.t[todo], data, chosen.samples, tolerance=1e-5)
+        found = solve_lanes(_residual, start.t[todo], data, chosen.samples, (0, 1), tolerance=1e-5)
         x, l2 = map_lanes(_at_shape, (found.t, *data, lanes.weight_l2[todo]), chosen.samples)
         better = l2 <= _GAIN * start.l2[todo]
         fit = TableFit(found.t, x, l2, data[1], found.steps, found.converged)

@@ -19,7 +19,8 @@ from jaxbrdf.directions import (
     or_normal,
     same_rank,
 )
-from jaxbrdf.ndf.base import pick
+from jaxbrdf.ndf.base import AbstractNDF, pick
+from jaxbrdf.ndf.tabulated_area import tabulate_projected_area
 from jaxbrdf.special import safe_divide, safe_sqrt
 
 
@@ -44,6 +45,22 @@ class AbstractBRDF(Parametric):
     def anonymous(self) -> "AbstractBRDF":
         """The same without texts that say where it is from, for which jit would compile once more."""
         return self
+
+    def tabulated(self) -> "AbstractBRDF":
+        """The same, quick at millions of directions: projected areas that are integrals are looked up.
+
+        To the accuracy of `tabulate_projected_area`; parameters must be plain numbers or channels of them.
+        """
+
+        def quick(node):
+            if isinstance(node, AbstractNDF):
+                return node if node.closed_form_area else tabulate_projected_area(node)
+            return node.tabulated() if isinstance(node, AbstractBRDF) else node
+
+        def is_part(node):
+            return isinstance(node, AbstractNDF | AbstractBRDF) and node is not self
+
+        return jax.tree.map(quick, self, is_leaf=is_part)
 
     def sample(self, u: ArrayLike, wo: ArrayLike) -> Float[Array, "... 3"]:
         """A direction wi for each wo, of density `pdf(wi, wo)`: (..., 3).

@@ -6,6 +6,7 @@ from jaxbrdf.brdf.cook_torrance import CookTorrance
 from jaxbrdf.fresnel import LinearSchlick
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.shifted_gamma import ShiftedGamma
+from jaxbrdf.ndf.tabulated_area import tabulate_projected_area
 from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
 
 
@@ -40,6 +41,9 @@ class ShiftedGammaBRDF(AbstractSum):
         """How much a facet reflects, LinearSchlick(f0, f1)."""
         return LinearSchlick(self.f0, self.f1)
 
+    def tabulated(self) -> CookTorrance:
+        return self.as_cook_torrance(tabulate_projected_area(self.ndf))
+
     def as_cook_torrance(self, ndf: AbstractNDF) -> CookTorrance:
-        """The same reflectance over another distribution, say `tabulate_projected_area(self.ndf)`."""
+        """The same reflectance over another distribution."""
         return CookTorrance(self.rho_d, self.rho_s, ndf, self.fresnel, self.shadowing)

@@ -29,7 +29,6 @@ from jaxbrdf.checks import (
     sampling,
 )
 from jaxbrdf.cli import batch, report, sources
-from jaxbrdf.cli.fit import quick_model
 
 _SHOWN = (0, 30, 60, 80, 89)  # degrees of incidence in the table
 _EXACT = 1e-3  # of an albedo: what it exceeds 1 by may be the quadrature's
@@ -112,11 +111,13 @@ def _from_fit(path: Path) -> Iterator[Subject]:
         raise DataError(path, "a fitted reflectance", f"a fitted {type(result.model).__name__}")
     model = sources.class_names(result.model)
     if np.ndim(result.status) < 2:
-        yield Subject(result.names[0] if result.names else path.stem, "fitted", model, quick_model(result))
+        yield Subject(
+            result.names[0] if result.names else path.stem, "fitted", model, result.model.tabulated()
+        )
         return
     for i in range(len(result.status)):
         name = result.names[i] if result.names else f"{path.stem} {i}"
-        yield Subject(name, "fitted", model, quick_model(result[i]))
+        yield Subject(name, "fitted", model, cast(AbstractBRDF, result[i].model).tabulated())
 
 
 # Examining

@@ -17,10 +17,8 @@ from jaxbrdf import (
     AbstractBRDF,
     FitResult,
     MeasuredBRDF,
-    ShiftedGammaBRDF,
     as_table,
     compare,
-    tabulate_projected_area,
 )
 from jaxbrdf.cli import batch, pictures, report, sources
 from jaxbrdf.resampling import Reflectance
@@ -66,7 +64,7 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
         return Fitted(result, document | {"files": _as_text(files)}) if same else None
 
     def read(self, path: Path) -> MeasuredBRDF:
-        table = as_table(_few_channels(path, read_brdf(path)))
+        table = as_table(few_channels(path, read_brdf(path)))
         return replace(table, name=table.name or path.stem)
 
     def process(self, inputs: Sequence[MeasuredBRDF]) -> Sequence[FitResult]:
@@ -76,7 +74,7 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
     def save(self, path: Path, content: MeasuredBRDF, output: FitResult) -> Fitted:
         files = self.files(path)
         self.out.mkdir(parents=True, exist_ok=True)
-        quick = quick_model(output)
+        quick = cast(AbstractBRDF, output.model).tabulated()
         errors = score(quick, content)
         source = self.source(path)
         channels = {"channels": sources.channels(content)}
@@ -124,21 +122,13 @@ def run(files: Sequence[Path], task: FitTask, as_json: bool = False) -> int:
     return outcome.exit_status
 
 
-def _few_channels(path: Path, reflectance: Reflectance) -> Reflectance:
+def few_channels(path: Path, reflectance: Reflectance) -> Reflectance:
     """The reflectance, unless it is a spectrum, whose table would fill the memory."""
     count = len(sources.channels(reflectance))
     if count > _CHANNELS:
         found = f"{count}; `jaxbrdf convert --rgb` makes colours of a spectrum"
         raise DataError(path, f"at most {_CHANNELS} channels", found)
     return reflectance
-
-
-def quick_model(result: FitResult) -> AbstractBRDF:
-    """The fitted reflectance, quick at millions of directions: masking looked up where it is a quadrature."""
-    model = cast(AbstractBRDF, result.model)
-    if isinstance(model, ShiftedGammaBRDF):
-        return model.as_cook_torrance(tabulate_projected_area(model.ndf))
-    return model
 
 
 def score(model: AbstractBRDF, measured: MeasuredBRDF) -> dict[str, list[float]]:

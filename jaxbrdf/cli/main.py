@@ -108,6 +108,62 @@ def fit(
 
 
 @app.command()
+def compare(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILES", help="Measured BRDFs in any format, or published MODEL:MATERIAL."),
+    ],
+    models: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Models, with commas between: lambertian, lafortune, ward, ashikhmin-shirley, beckmann, ggx, "
+            "student-t, abc, sgd-slices, sgd-linear, sgd, sgd+lobe, free-form.",
+        ),
+    ] = "lambertian,ward,beckmann,ggx,student-t,abc,sgd,sgd+lobe,free-form",
+    loss: Annotated[
+        str,
+        typer.Option(
+            metavar="LOSS",
+            help="What fits minimise: **l2**, **log**, **cube_root**, **log_ratio**, or **image**: of these the one "
+            "whose lit sphere looks closest. The recipes of sgd have their own.",
+        ),
+    ] = "l2",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Keep NAME.json, NAME.png and a summary here; made if missing."
+        ),
+    ] = None,
+    json: Json = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Compare again what an earlier run has finished.")
+    ] = False,
+) -> None:
+    """Fit many models to each measured BRDF and compare their errors.
+
+    The table gives, as means over the channels, the normalized L2, log and cube-root errors over directions
+    below 80°, the mean difference ΔE in CIE Lab of a lit sphere, how many numbers the model takes for a
+    channel, and seconds. 'free-form' is no model: tables of D, F and G1, the bound of what facets can reach.
+
+    With --out results are kept as they come, and the same command goes on after an interrupt: NAME.json,
+    NAME.png (lobes and lit spheres), comparison.csv and, of several files, comparison.png.
+
+    **Examples**
+
+    jaxbrdf compare nickel.binary
+
+    jaxbrdf compare merl/*.binary --models ggx,abc,sgd --out comparison
+
+    jaxbrdf compare garnet.bsdf --loss image --json
+    """
+    from jaxbrdf.cli.compare import run
+
+    names = [name.strip() for name in models.split(",") if name.strip()]
+    _exit_with(lambda: run(files, names, loss, out, as_json=json, force=force))
+
+
+@app.command()
 def check(
     files: Annotated[
         list[Path],

@@ -1,7 +1,7 @@
 """Pictures of fits: arrays and models in, a matplotlib figure out; saving it is the caller's business."""
 
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -134,6 +134,25 @@ def _draw_lobes(
             ax.plot(*polar(points[i, :, c], coarse), marker, color=colour, markersize=2.6, alpha=0.45, mew=0)
             ax.plot(*polar(lines[i, :, c % lines.shape[2]], fine), color=colour, linewidth=1.1)
         dress_lobe(ax, _INCIDENCES[i], largest(points[i], lines[i]))
+
+
+def draw_model_lobes(
+    axes: Sequence[Axes],
+    measured: MeasuredBRDF,
+    models: Mapping[str, AbstractBRDF],
+    colours: Mapping[str, Any],
+    channel: int,
+) -> None:
+    """One channel of a measurement and of several models, a colour each, at four incidences."""
+    coarse, fine = np.arange(-88.0, 89.0, 2.0), np.arange(-89.75, 90.0, 0.25)
+    points = _lobes(measured, coarse)[:, :, channel]
+    lines = {name: _lobes(model, fine) for name, model in models.items()}
+    for i, ax in enumerate(axes):
+        ax.plot(*polar(points[i], coarse), "o", color="0.3", markersize=2.6, mew=0, label="measured")
+        for name, line in lines.items():
+            radius = line[i, :, channel % line.shape[2]]
+            ax.plot(*polar(radius, fine), color=colours[name], linewidth=1.1, label=name)
+        dress_lobe(ax, _INCIDENCES[i], largest(points[i]))
 
 
 def _lobes(brdf: AbstractBRDF, theta_o: np.ndarray) -> np.ndarray:
