@@ -64,6 +64,13 @@ def adaptive() -> jb.AdaptiveBRDF:
     )
 
 
+def free_form() -> jb.FreeFormBRDF:
+    """Tables of the size that `fit_factors` makes of a MERL file."""
+    grid, theta = jb.merl_grid(), np.linspace(0, np.pi / 2, 46)
+    D = np.exp(-20 * np.tan(grid.theta_h) ** 2)
+    return jb.FreeFormBRDF(0.1, grid.theta_h, D, grid.theta_d, np.ones(90), theta, np.cos(theta) ** 0.1)
+
+
 def kirchhoff() -> jb.KirchhoffBRDF:
     tables = np.random.default_rng(0).uniform(size=(3, 257, 257))
     return jb.KirchhoffBRDF(tables, np.array([0.4, 0.6, 0.9]), 0.55, METAL)
@@ -89,6 +96,7 @@ MODELS: dict[str, Callable[[], jb.AbstractBRDF]] = {
     "RoughMetal": lambda: jb.RoughMetal(3.0, METAL),
     "MeasuredBRDF": measured,
     "AdaptiveBRDF": adaptive,
+    "FreeFormBRDF": free_form,
     "KirchhoffBRDF": kirchhoff,
     "KirchhoffBRDF, table of σ": lambda: replace(
         kirchhoff(), ndf=jb.tabulate_projected_area(kirchhoff().mean_ndf)

@@ -1,3 +1,4 @@
+from .backscattering import BackscatteringNDF, backscattering_ndf
 from .catalogue import catalogue
 from .factors import fit_factors
 from .image import fit_image
@@ -11,8 +12,10 @@ from .reflectance import fit_losses, fit_reflectance
 __all__ = [
     "LOSSES",
     "RECIPES",
+    "BackscatteringNDF",
     "Loss",
     "Minimum",
+    "backscattering_ndf",
     "catalogue",
     "compressed",
     "fit_factors",

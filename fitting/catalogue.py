@@ -27,7 +27,7 @@ from jaxbrdf.ndf.beckmann import Beckmann
 from jaxbrdf.ndf.student_t import StudentT
 from jaxbrdf.ndf.trowbridge_reitz import TrowbridgeReitz
 
-_IMAGE = ("l2", "log", "cube_root", "log_ratio")  # what 'image' chooses among
+IMAGE_LOSSES = ("l2", "log", "cube_root", "log_ratio")  # what 'image' chooses among
 
 
 class AbstractEntry(eqx.Module):
@@ -45,7 +45,7 @@ class General(AbstractEntry):
 
     def fit(self, measured: Sequence[MeasuredBRDF], loss: str | Loss) -> list[FitResult]:
         if loss == "image":
-            result = fit_reflectance(self.model, measured, _IMAGE, select="image")
+            result = fit_reflectance(self.model, measured, IMAGE_LOSSES, select="image")
         else:
             result = fit_reflectance(self.model, measured, loss)
         return [result[i] for i in range(len(measured))]
@@ -78,7 +78,7 @@ class SecondLobe(AbstractEntry):
         model = first.model.as_cook_torrance(first.model.ndf) + facets(TrowbridgeReitz(0.3))
         fixed = ("terms[0].fresnel.f0", "terms[0].fresnel.f1")
         if loss == "image":
-            return fit_reflectance(model, measured, _IMAGE, select="image", fixed=fixed)
+            return fit_reflectance(model, measured, IMAGE_LOSSES, select="image", fixed=fixed)
         return fit_reflectance(model, measured, loss, fixed=fixed)
 
 
@@ -97,7 +97,7 @@ def facets(ndf: AbstractNDF) -> AbstractBRDF:
 
 @lru_cache
 def catalogue() -> Mapping[str, AbstractEntry]:
-    """The models by name; 'sgd' is the shifted gamma reflectance, by recipe 'full' if the name says no other."""
+    """The models by name; 'sgd' is the shifted gamma reflectance, of recipe 'full' unless it says another."""
     diffuse = Lambertian(0.3)
     return MappingProxyType(
         {

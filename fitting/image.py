@@ -37,8 +37,9 @@ def fit_image(
     best = fit_reflectance(model, measured, losses, select="image", fixed=fixed)
     if not best.success.all():
         return best
-    space, shapes, _ = model_space(cast(AbstractBRDF, best.model), fixed)
-    leaves = jax.tree.leaves(best.model)
+    fit = cast(AbstractBRDF, best.model)
+    space, shapes, _ = model_space(fit, fixed)
+    leaves = jax.tree.leaves(fit)
     linear = [jnp.asarray(leaves[unknown.leaf]) for unknown in space.linear]
     x = jnp.stack(linear, axis=-1) if linear else jnp.zeros((len(shapes), 0))
     unit = jnp.where(x > 0, x, jnp.maximum(jnp.max(x, initial=0.0), 1e-6))
@@ -47,9 +48,7 @@ def fit_image(
     def fitted(z):
         z = z.reshape(len(unit), -1)
         values = jax.vmap(space.shape_values)(z[:, k:])
-        return space.fitted(
-            cast(AbstractBRDF, best.model), jnp.concatenate([z[:, :k] * unit, values], axis=1)
-        )
+        return space.fitted(model, jnp.concatenate([z[:, :k] * unit, values], axis=1))
 
     start = jnp.concatenate([x / unit, jnp.clip(shapes, 0, 1)], axis=1)
     high = jnp.where(jnp.arange(start.shape[1]) < k, jnp.inf, 1.0)[None, :]

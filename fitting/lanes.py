@@ -32,6 +32,12 @@ class Lanes(eqx.Module):
     own: list[np.ndarray]
     enough: Bool[np.ndarray, " L"]
 
+    def thinned(self, rows: np.ndarray) -> "Lanes":
+        """The same problems at some of the pairs."""
+        share = self.values.shape[1] / len(rows)
+        parts = self.values[:, rows], share * self.projected[:, rows], share * self.weight[:, rows]
+        return Lanes(*parts, self.loss, self.own, self.enough)
+
 
 class Shared(eqx.Module):
     """What all lanes have in common."""
@@ -42,6 +48,9 @@ class Shared(eqx.Module):
 
     def first_lobes(self, count: int) -> "Shared":
         return Shared(self.space.first_lobes(count), self.wi, self.wo)
+
+    def thinned(self, rows: np.ndarray) -> "Shared":
+        return Shared(self.space, self.wi[rows], self.wo[rows])
 
     def features(self, u, own):
         return self.space.features(u, own, self.wi, self.wo)

@@ -19,23 +19,61 @@ from jaxbrdf.special import safe_divide
 
 _GRID = 256  # shapes of a lobe to start from
 _ROUNDS = 4  # of a robust fit, between which the spread of its residuals is measured anew
+_COARSE = 2048  # pairs at which minima are sought, before all are looked at
 _DIM = 1e-2  # a linear unknown starts at this share of what it would be alone, at least
+
+
+def best_fits(lanes: Lanes, shared: Shared, starts: int, given: np.ndarray) -> LaneFit:
+    """The minimum of every lane's loss: sought at some of the pairs, then refined at all of them."""
+    rows = some_pairs(lanes)
+    few, shared_few = lanes.thinned(rows), shared.thinned(rows)
+    fit = _minimised(_find_lobes(few, shared_few, starts, given), few, shared_few)
+    return (
+        fit if len(rows) == lanes.values.shape[1] else _minimised(_refined(fit, lanes, shared), lanes, shared)
+    )
+
+
+def some_pairs(lanes: Lanes) -> np.ndarray:
+    """Some 2048 of the pairs, the same every time; all of them where a lane has hardly so many."""
+    count = lanes.values.shape[1]
+    fewest = np.min(np.sum(lanes.weight[lanes.enough] > 0, axis=1), initial=count)
+    if fewest < 2 * _COARSE:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).permutation(count)[:_COARSE])
+
+
+def _refined(fit: LaneFit, lanes: Lanes, shared: Shared) -> LaneFit:
+    """The minimum of the linearised loss next to a fit; of lanes whose loss is another, the fit."""
+    todo = np.flatnonzero(~_is_other(lanes))
+    if not len(todo) or not fit.u.shape[1]:
+        x = map_lanes(_linear_unknowns, (fit.u, lanes.values, lanes.projected, lanes.own), shared)
+        return fit._replace(x=np.where(_is_other(lanes)[:, None], fit.x, x))
+    data = (lanes.values[todo], lanes.projected[todo], [leaf[todo] for leaf in lanes.own])
+    found = solve_lanes(projected_residual, fit.u[todo], data, shared, (0, 1))
+    x = map_lanes(_linear_unknowns, (found.t, *data), shared)
+    parts = found.t, x, fit.steps[todo] + found.steps, found.converged, fit.spread[todo]
+    return LaneFit(*[_with_rows(old, todo, new) for old, new in zip(fit, parts, strict=True)])
+
+
+def _is_other(lanes: Lanes) -> np.ndarray:
+    """Whether a lane's loss is more than a weighted sum of squares of f − m."""
+    return (lanes.loss.power != 1) | (lanes.loss.cutoff > 0)
 
 
 # Lobes, one after another
 
 
-def find_lobes(lanes: Lanes, shared: Shared, starts: int, given: np.ndarray) -> LaneFit:
+def _find_lobes(lanes: Lanes, shared: Shared, starts: int, given: np.ndarray) -> LaneFit:
     """The minimum of the linearised loss."""
     count = len(lanes.enough)
     u, steps, converged = np.zeros((count, 0)), np.zeros(count, int), np.ones(count, bool)
     lobes = len(shared.space.lobes)
     for j in range(lobes):
-        lane, start = _starts(lanes, shared.first_lobes(j), shared.first_lobes(j + 1), u, starts)
+        lane, start = lobe_starts(lanes, shared.first_lobes(j), shared.first_lobes(j + 1), u, starts)
         lane = np.append(lane, np.arange(count))
         start = np.concatenate([start, np.clip(given[:, : start.shape[1]], 0, 1)])
         data = (lanes.values[lane], lanes.projected[lane], [leaf[lane] for leaf in lanes.own])
-        found = solve_lanes(_projected_residual, start, data, shared.first_lobes(j + 1), (0, 1))
+        found = solve_lanes(projected_residual, start, data, shared.first_lobes(j + 1), (0, 1))
         best = lowest(found.cost, lane, count)
         u, converged = found.t[best], found.converged[best]
         steps = steps + found.steps[best]
@@ -43,7 +81,7 @@ def find_lobes(lanes: Lanes, shared: Shared, starts: int, given: np.ndarray) -> 
     return LaneFit(u, x, steps, converged, np.ones(count))
 
 
-def _starts(lanes: Lanes, before: Shared, after: Shared, u: np.ndarray, most: int):
+def lobe_starts(lanes: Lanes, before: Shared, after: Shared, u: np.ndarray, most: int):
     """Where to start with one more lobe: lanes (S,) and shapes (S, n)."""
     term = after.space.lobes[len({unknown.term for unknown in before.space.shapes})]
     dimensions = sum(unknown.term == term for unknown in after.space.shapes)
@@ -86,7 +124,7 @@ def _lobe_rows(grid, own, after: Shared, term: int):
     return jax.lax.map(rows, jnp.asarray(grid), batch_size=16)
 
 
-def _projected_residual(u, args):
+def projected_residual(u, args):
     """√w (f − m) at the best x ≥ 0."""
     (values, weight, own), shared = args
     f_0, features = shared.features(u, own)
@@ -114,9 +152,9 @@ class LossLane(NamedTuple):
     own: list
 
 
-def minimised(fit: LaneFit, lanes: Lanes, shared: Shared) -> LaneFit:
+def _minimised(fit: LaneFit, lanes: Lanes, shared: Shared) -> LaneFit:
     """The minimum of each lane's loss, from that of the linearised one."""
-    todo = np.flatnonzero((lanes.loss.power != 1) | (lanes.loss.cutoff > 0))
+    todo = np.flatnonzero(_is_other(lanes))
     if not len(todo):
         return fit
     lanes = jax.tree.map(lambda leaf: leaf[todo], lanes)

@@ -19,7 +19,7 @@ from fitting.appearance import closest_picture
 from fitting.covariance import sandwich
 from fitting.lanes import LaneFit, Lanes, Shared, make_lanes
 from fitting.least_squares import map_lanes
-from fitting.lobes import LossLane, find_lobes, minimised, weighted_residual
+from fitting.lobes import LossLane, best_fits, weighted_residual
 from fitting.losses import Loss, as_loss
 from fitting.model_space import ModelSpace, model_space
 from fitting.observations import observe
@@ -65,11 +65,11 @@ def fit_reflectance(
     cannot be fitted is a status.
     """
     several = not isinstance(loss, str | Loss)
+    losses: list[str | Loss] = [loss] if isinstance(loss, str | Loss) else list(loss)
     if select != ("image" if several else None):
         raise ValueError(
             f"expected one loss, or several with select='image'; found {loss!r} and select={select!r}"
         )
-    losses = loss if several else [loss]
     results = fit_losses(model, measured, losses, starts=starts, fixed=fixed, max_angle=max_angle)
     return closest_picture(results, measured) if several else results[0]
 
@@ -93,7 +93,7 @@ def fit_losses(
     _check_channels(model, materials[0])
     lanes = make_lanes(seen, [as_loss(loss) for loss in losses], max_angle, own)
     shared = Shared(space, jnp.asarray(seen.wi), jnp.asarray(seen.wo))
-    fit = minimised(find_lobes(lanes, shared, starts, _for_each_lane(given, lanes)), lanes, shared)
+    fit = best_fits(lanes, shared, starts, _for_each_lane(given, lanes))
     outcome = _outcome(fit, lanes, shared)
     shape = len(losses), *seen.values.shape[:2]
     by_loss = [

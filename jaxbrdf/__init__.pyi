@@ -10,6 +10,7 @@ from .brdf.ashikhmin_shirley import (
 from .brdf.base import AbstractBRDF, AbstractSum, Scaled, Sum
 from .brdf.cook_torrance import CookTorrance
 from .brdf.facet_scattering import FacetScattering
+from .brdf.free_form import FreeFormBRDF
 from .brdf.generated import (
     CoupledDiffuse,
     GeneratedBRDF,
@@ -51,7 +52,7 @@ from .fresnel import (
     Schlick,
     kappa_from_reflectance,
 )
-from .metrics import compare, normalized_l2
+from .metrics import Comparison, compare, normalized_l2
 from .ndf.base import AbstractIsotropicNDF, AbstractNDF, AbstractVisibleNDF
 from .ndf.beckmann import Beckmann
 from .ndf.blinn_phong import AnisotropicPhong, BlinnPhong
@@ -106,6 +107,7 @@ __all__ = [
     "Beckmann",
     "BlinnPhong",
     "BlinnPhongBRDF",
+    "Comparison",
     "Conductor",
     "Constant",
     "CookTorrance",
@@ -116,6 +118,7 @@ __all__ = [
     "FacetScattering",
     "FitResult",
     "FitStatus",
+    "FreeFormBRDF",
     "FreeTravel",
     "GaussianCylinder",
     "GaussianMicrofacets",

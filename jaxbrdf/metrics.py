@@ -14,7 +14,9 @@ from jaxbrdf.directions import from_half_difference
 from jaxbrdf.energy import albedo, largest_albedo
 from jaxbrdf.quadrature import HalfDifferenceGrid
 
-__all__ = ["albedo", "compare", "largest_albedo", "normalized_l2", "tabulate"]
+__all__ = ["Comparison", "albedo", "compare", "largest_albedo", "normalized_l2", "tabulate"]
+
+_LIMIT = float(np.deg2rad(80))  # beyond, what is measured may be anything
 
 
 @eqx.filter_jit
@@ -41,7 +43,7 @@ def normalized_l2(
 
 
 def compare(
-    model: AbstractBRDF, measured: MeasuredBRDF, max_angle: float | Sequence[float] = np.deg2rad(80)
+    model: AbstractBRDF, measured: MeasuredBRDF, max_angle: float | Sequence[float] = _LIMIT
 ) -> dict[str, Float[Array, "..."]]:
     r"""All errors at once, each (C,): m measured, ρ modelled, over valid pairs with θ_i, θ_o < max_angle.
 
@@ -50,16 +52,34 @@ def compare(
         cube_root_error  rms of m^⅓ − ρ^⅓, weighted by cos θ_i cos θ_o
 
     L2 is ruled by the mirror peak, which is why the others stand next to it; in those a negative ρ counts
-    as 0. A channel without any valid pair has NaN. Of several angles, each error is (angles, C).
+    as 0. A channel without any valid pair has NaN. Of several angles, each error is (angles, C). To compare
+    many models with one measurement, make one `Comparison`.
     """
-    table = tabulate(model, measured.grid)
-    table = table[..., None] if table.ndim == 3 else table
-    values, largest = jnp.asarray(measured.values), largest_albedo(measured)
-    limits = max_angle if isinstance(max_angle, Sequence) else (max_angle,)
-    errors = [_errors(table, values, measured.grid, largest, limit) for limit in limits]
-    if not isinstance(max_angle, Sequence):
-        return errors[0]
-    return {name: jnp.stack([e[name] for e in errors]) for name in errors[0]}
+    return Comparison.of(measured).errors(model, max_angle)
+
+
+class Comparison(eqx.Module):
+    """What the errors of `compare` need of a measurement: its values (NaN where invalid), and a, (C,)."""
+
+    values: Float[Array, "H D P C"]
+    largest_albedo: Float[Array, " C"]
+    grid: HalfDifferenceGrid
+
+    @classmethod
+    def of(cls, measured: MeasuredBRDF) -> "Comparison":
+        return cls(jnp.asarray(measured.values), largest_albedo(measured), measured.grid)
+
+    def errors(
+        self, model: AbstractBRDF, max_angle: float | Sequence[float] = _LIMIT
+    ) -> dict[str, Float[Array, "..."]]:
+        """See `compare`."""
+        table = tabulate(model, self.grid)
+        table = table[..., None] if table.ndim == 3 else table
+        limits = max_angle if isinstance(max_angle, Sequence) else (max_angle,)
+        errors = [_errors(table, self.values, self.grid, self.largest_albedo, limit) for limit in limits]
+        if not isinstance(max_angle, Sequence):
+            return errors[0]
+        return {name: jnp.stack([e[name] for e in errors]) for name in errors[0]}
 
 
 @jax.jit

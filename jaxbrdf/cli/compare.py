@@ -1,10 +1,10 @@
-"""`jaxbrdf compare`: many models against each measurement, in one table, and pictures of where they differ."""
+"""`jaxbrdf compare`: many models against each measurement, in one table and in pictures."""
 
 import csv
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,9 +17,9 @@ from rich.text import Text
 
 from data_loaders.files import replacing
 from fitting import LOSSES, catalogue
-from jaxbrdf import AbstractBRDF, FitResult, FitStatus, MeasuredBRDF, as_table, compare
+from jaxbrdf import AbstractBRDF, Comparison, FitResult, FitStatus, MeasuredBRDF
 from jaxbrdf.cli import batch, comparison_pictures, report, sources
-from jaxbrdf.cli.fit import few_channels
+from jaxbrdf.cli.fit import table_to_fit
 from jaxbrdf.preview import Appearance
 
 _ERRORS = ("normalized_l2", "log_error", "cube_root_error")
@@ -59,8 +59,7 @@ class CompareTask(batch.Task[MeasuredBRDF, list[Contender], dict[str, Any]]):
         return document if same else None
 
     def read(self, path: Path) -> MeasuredBRDF:
-        table = as_table(few_channels(path, sources.load(path)))
-        return replace(table, name=table.name or path.stem)
+        return table_to_fit(path, sources.load(path))
 
     def process(self, inputs: Sequence[MeasuredBRDF]) -> Sequence[list[Contender]]:
         by_model = [_fitted(model, inputs, self.loss) for model in self.models]
@@ -77,7 +76,7 @@ class CompareTask(batch.Task[MeasuredBRDF, list[Contender], dict[str, Any]]):
             file.parent.mkdir(parents=True, exist_ok=True)
             with replacing(file) as scratch:
                 if kind == "picture":
-                    models = {c.model: c.result.model.tabulated() for c in output if _usable(c)}
+                    models = {c.model: _quick(c.result) for c in output if c.result and _usable(c.result)}
                     figure = comparison_pictures.material(content, models, document)
                     figure.savefig(scratch, format="png")
                 else:
@@ -154,16 +153,17 @@ def _scores(measured: MeasuredBRDF, contenders: Sequence[Contender]) -> list[dic
         appearance = Appearance.of(measured)
     except ValueError:  # no channels that a picture could be made of
         appearance = None
-    return [_score(measured, appearance, contender) for contender in contenders]
+    comparison = Comparison.of(measured)
+    return [_score(comparison, appearance, contender) for contender in contenders]
 
 
-def _score(measured: MeasuredBRDF, appearance: Appearance | None, contender: Contender) -> dict[str, Any]:
+def _score(comparison: Comparison, appearance: Appearance | None, contender: Contender) -> dict[str, Any]:
     about = {"model": contender.model, "seconds": contender.seconds}
     if contender.result is None:
-        nothing = [float("nan")] * measured.raw.shape[-1]
+        nothing = [float("nan")] * len(comparison.largest_albedo)
         return {**about, "error": contender.error, **dict.fromkeys(_ERRORS, nothing), "lab_difference": None}
-    quick = cast(AbstractBRDF, contender.result.model).tabulated()
-    errors = compare(quick, measured)
+    quick = _quick(contender.result)
+    errors = comparison.errors(quick)
     return {
         **about,
         "recipe": contender.result.recipe,
@@ -184,8 +184,14 @@ def _parameters(result: FitResult) -> dict[str, Any]:
     return {"parameter_count": count, "parameters": named}
 
 
-def _usable(contender: Contender) -> bool:
-    return contender.result is not None and bool(contender.result.success.any())
+def _quick(result: FitResult) -> AbstractBRDF:
+    return cast(AbstractBRDF, result.model).tabulated()
+
+
+def _usable(result: FitResult) -> bool:
+    """Whether any channel has a model that can be drawn."""
+    nothing = (FitStatus.TOO_FEW_SAMPLES, FitStatus.NOT_FINITE)
+    return not np.all(np.isin(result.status, nothing))
 
 
 # Showing
@@ -202,9 +208,9 @@ def _show(documents: Sequence[Mapping[str, Any]]) -> None:
     for document in documents:
         best = min((_mean(fit["normalized_l2"]) for fit in document["fits"]), default=np.nan)
         for k, fit in enumerate(document["fits"]):
-            name = Text(report.printable(document["name"]) if k == 0 else "")
+            material = Text(report.printable(document["name"]) if k == 0 else "")
             bold = "bold" if _mean(fit["normalized_l2"]) == best else ""
-            table.add_row(name, *_row(fit), style=bold, end_section=k == len(document["fits"]) - 1)
+            table.add_row(material, *_row(fit), style=bold, end_section=k == len(document["fits"]) - 1)
     report.wide_enough(Console()).print(table)
 
 

@@ -1,7 +1,7 @@
 """Pictures of comparisons: lobes and lit spheres of one material's models, errors across many materials."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib import colormaps
@@ -20,8 +20,8 @@ def material(
     measured: MeasuredBRDF, models: Mapping[str, AbstractBRDF], document: Mapping[str, Any]
 ) -> Figure:
     """The lobes of all models in the plane of incidence, of the middle channel, and spheres made of them."""
-    figure = Figure(figsize=(13, 7), dpi=110, layout="constrained")
-    upper, lower = pictures.two_rows(figure)
+    figure = Figure(figsize=(13, 5.6), dpi=110, layout="constrained")
+    upper, lower = cast(np.ndarray, figure.subfigures(2, 1, height_ratios=(1.5, 1)))
     channel = len(document["channels"]) // 2
     colours = _colours(list(models))
     pictures.draw_model_lobes(list(upper.subplots(1, 4)), measured, models, colours, channel)

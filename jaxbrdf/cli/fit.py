@@ -64,8 +64,7 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
         return Fitted(result, document | {"files": _as_text(files)}) if same else None
 
     def read(self, path: Path) -> MeasuredBRDF:
-        table = as_table(few_channels(path, read_brdf(path)))
-        return replace(table, name=table.name or path.stem)
+        return table_to_fit(path, read_brdf(path))
 
     def process(self, inputs: Sequence[MeasuredBRDF]) -> Sequence[FitResult]:
         results = MODELS[self.model](inputs, self.recipe)
@@ -122,13 +121,14 @@ def run(files: Sequence[Path], task: FitTask, as_json: bool = False) -> int:
     return outcome.exit_status
 
 
-def few_channels(path: Path, reflectance: Reflectance) -> Reflectance:
-    """The reflectance, unless it is a spectrum, whose table would fill the memory."""
+def table_to_fit(path: Path, reflectance: Reflectance) -> MeasuredBRDF:
+    """What a file holds as a table; raises DataError for a spectrum, which would fill the memory."""
     count = len(sources.channels(reflectance))
     if count > _CHANNELS:
         found = f"{count}; `jaxbrdf convert --rgb` makes colours of a spectrum"
         raise DataError(path, f"at most {_CHANNELS} channels", found)
-    return reflectance
+    table = reflectance if isinstance(reflectance, MeasuredBRDF) else as_table(reflectance)
+    return replace(table, name=table.name or path.stem)
 
 
 def score(model: AbstractBRDF, measured: MeasuredBRDF) -> dict[str, list[float]]:

@@ -117,16 +117,16 @@ def compare(
         str,
         typer.Option(
             metavar="NAMES",
-            help="Models, with commas between: lambertian, lafortune, ward, ashikhmin-shirley, beckmann, ggx, "
-            "student-t, abc, sgd-slices, sgd-linear, sgd, sgd+lobe, free-form.",
+            help="Models, with commas between: lambertian, lafortune, ward, ashikhmin-shirley, beckmann, "
+            "ggx, student-t, abc, sgd-slices, sgd-linear, sgd, sgd+lobe, free-form.",
         ),
     ] = "lambertian,ward,beckmann,ggx,student-t,abc,sgd,sgd+lobe,free-form",
     loss: Annotated[
         str,
         typer.Option(
             metavar="LOSS",
-            help="What fits minimise: **l2**, **log**, **cube_root**, **log_ratio**, or **image**: of these the one "
-            "whose lit sphere looks closest. The recipes of sgd have their own.",
+            help="What fits minimise: **l2**, **log**, **cube_root**, **log_ratio**, or **image**: of these "
+            "the one whose lit sphere looks closest. The recipes of sgd have their own.",
         ),
     ] = "l2",
     out: Annotated[
@@ -240,8 +240,19 @@ def show(
     ],
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.png", help="Draw slices, lobes and the image slice of one file."),
+        typer.Option(
+            metavar="FILE.png",
+            help="Draw slices, lobes and the image slice of one file; with --factors, its factors.",
+        ),
     ] = None,
+    factors: Annotated[
+        bool,
+        typer.Option(
+            "--factors",
+            help="Read the distribution D and the Fresnel term F off the data, and fit them: shifted gamma, "
+            "GGX, Beckmann, and the free form that bounds what facets can do.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Show what is in a file: format, directions, range, units, invalid samples, albedo.
@@ -253,10 +264,12 @@ def show(
     jaxbrdf show C8_Silver.astm --plot silver.png
 
     jaxbrdf show *.bsdf --json
+
+    jaxbrdf show brass.binary --factors --plot factors.png
     """
     from jaxbrdf.cli.show import run
 
-    _exit_with(lambda: run(files, as_json=json, plot=plot))
+    _exit_with(lambda: run(files, as_json=json, plot=plot, with_factors=factors))
 
 
 @app.command()

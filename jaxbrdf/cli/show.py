@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import jax
 import numpy as np
+from matplotlib.figure import Figure
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -22,7 +23,7 @@ from jaxbrdf import (
     sample_albedos,
     spherical,
 )
-from jaxbrdf.cli import batch, portrait, report, sources
+from jaxbrdf.cli import batch, factors, portrait, report, sources
 from jaxbrdf.energy import albedo_by_quadrature
 from jaxbrdf.resampling import Reflectance
 
@@ -57,20 +58,40 @@ class PictureTask(ShowTask):
 
     def save(self, path: Path, content: Reflectance, output: dict[str, Any]) -> dict[str, Any]:
         document = super().save(path, content, output)
-        figure = portrait.draw(content, document["name"])
-        with replacing(self.plot) as scratch:
-            figure.savefig(scratch, format=self.plot.suffix[1:].lower())
+        _write(self.plot, portrait.draw(content, document["name"]))
         return document
 
 
-def run(files: Sequence[Path], as_json: bool = False, plot: Path | None = None) -> int:
+class FactorsTask(ShowTask):
+    """The same, the factors that are read off the data and how near fits are; drawn if there is a `plot`."""
+
+    verb = "fitting"
+
+    def __init__(self, plot: Path | None):
+        self.plot = plot
+
+    def save(self, path: Path, content: Reflectance, output: dict[str, Any]) -> dict[str, Any]:
+        document = super().save(path, content, output)
+        found = factors.find(content)
+        if self.plot is not None:
+            _write(self.plot, factors.draw(found, document["name"]))
+        return {**document, "factors": factors.document(found)}
+
+
+def _write(plot: Path, figure: Figure) -> None:
+    with replacing(plot) as scratch:
+        figure.savefig(scratch, format=plot.suffix[1:].lower())
+
+
+def run(
+    files: Sequence[Path], as_json: bool = False, plot: Path | None = None, with_factors: bool = False
+) -> int:
     """Describe every file on standard output, and return the exit status."""
     batch.writable_picture(plot, files)
     if plot is not None and len(files) > 1:
         raise batch.Refused(f"--plot {plot}: a picture shows one file; there are {len(files)}")
     jax.config.update("jax_enable_x64", True)
-    task = ShowTask() if plot is None else PictureTask(plot)
-    outcome = batch.run(files, task, Console(stderr=True), chunk=1)
+    outcome = batch.run(files, _task(plot, with_factors), Console(stderr=True), chunk=1)
     if as_json:
         failed = [{"name": p.stem, "source": str(p), "error": text} for p, text in outcome.errors.items()]
         print(report.to_json([*outcome.records.values(), *failed]))
@@ -79,6 +100,12 @@ def run(files: Sequence[Path], as_json: bool = False, plot: Path | None = None) 
             _show(document)
     report.say_failures(outcome, len(files))
     return outcome.exit_status
+
+
+def _task(plot: Path | None, with_factors: bool) -> ShowTask:
+    if with_factors:
+        return FactorsTask(plot)
+    return ShowTask() if plot is None else PictureTask(plot)
 
 
 # Describing
@@ -203,6 +230,8 @@ def _show(document: dict[str, Any]) -> None:
     for label, values, digits in _rows(document):
         table.add_row(Text(label), *(report.number(values[c], digits) for c in shown))
     console.print(table)
+    if "factors" in document:
+        factors.show(document["factors"])
 
 
 def _limits(document: dict[str, Any]) -> str:
