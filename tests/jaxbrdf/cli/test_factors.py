@@ -35,7 +35,7 @@ def test_what_is_read_off_is_what_made_the_table(shown):
     theta = np.radians(factors["theta_h_deg"])
     D = TrowbridgeReitz(0.2)(np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1))
     read, near = np.array(factors["distribution"][0]), theta < np.radians(12)  # half the peak
-    np.testing.assert_allclose((read / read[0])[near], np.asarray(D / D[0])[near], rtol=0.05)
+    np.testing.assert_allclose((read / read[0])[near], np.asarray(D / D[0])[near], rtol=0.08)
     errors = {fit["model"]: fit["normalized_l2_below_80"][0] for fit in factors["fits"]}
     assert errors["GGX"] < 0.01
     assert errors["free form"] < 0.02 < errors["Beckmann"]
