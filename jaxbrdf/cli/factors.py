@@ -1,16 +1,18 @@
-r"""The factors of a reflectance as its data show them, and fits over them: Bagher et al. 2012, Fig. 3 and 6.
+r"""The factors of a reflectance as its data show them, with fits drawn over: Fig. 3 and 6 of Bagher et al. 2012.
 
-D is read off the backscattering slice by power iteration, and F off the mirror slice by eq. 10 of the paper
-in the normalisation of `Microfacet`:
+D is read off the backscattering slice by power iteration, and F off the mirror slice by their eq. 10, in the
+normalisation of `Microfacet`:
 
     F(θ_d) = (m_d(θ_d) − ρ_d/π) 4 cos²θ_d / (D(0) G1(θ_d)²)
 
-with the diffuse part of the shifted gamma fit taken off. The free form is read off in the same way: of its
-own factors only the product means much. How far a fit's error is from its error is what the fit could gain.
+The diffuse part that is taken off is that of the shifted gamma fit. F of every fit is read off its mirror slice
+with the same ρ_d, D(0) and G1: where it meets the points, the fit meets the measurement. D is a fit's own; only
+that of the free form, whose factors mean little but for their product, is read off as well. How far the error
+of a fit is from that of the free form is what it could still gain.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,48 +23,47 @@ from rich.console import Console
 from rich.table import Table
 
 from data_loaders import to_rgb
-from fitting import backscattering_ndf, fit_factors, fit_shifted_gamma, fit_two_slice
+from fitting import BackscatteringNDF, backscattering_ndf, fit_factors, fit_shifted_gamma, fit_two_slice
 from jaxbrdf import (
+    AbstractBRDF,
     Beckmann,
+    CookTorrance,
     FitResult,
     FitStatus,
+    FreeFormBRDF,
     MeasuredBRDF,
+    ShiftedGammaBRDF,
     Slices,
     TrowbridgeReitz,
     as_table,
     compare,
+    from_half_difference,
     spherical,
 )
 from jaxbrdf.cli import pictures, report, sources
-from jaxbrdf.metrics import tabulate
-from jaxbrdf.resampling import Reflectance
+from jaxbrdf.resampling import Reflectance, evaluate
 
-_FITS: dict[str, Any] = {
-    "shifted gamma": "-",
-    "GGX": "--",
-    "Beckmann": ":",
-}  # what is fitted, and how it is drawn
-_FREE = "free form"
+_DATA, _FREE = "read off the data", "free form"
+_SGD = "shifted gamma"
+_LINES: dict[str, dict[str, Any]] = {  # how each is drawn; the data as the channel's markers
+    _SGD: {"linestyle": "-", "linewidth": 1.3},
+    "GGX": {"linestyle": "--", "linewidth": 1.3},
+    "Beckmann": {"linestyle": ":", "linewidth": 1.3},
+    _FREE: {"linestyle": "-", "linewidth": 3.5, "alpha": 0.35},
+}
+_POINTS: dict[str, Any] = {"markersize": 3.5, "alpha": 0.45, "mew": 0, "linestyle": ""}
 _MOST = 8  # channels; of more, their colours
-_DENSE = np.pi / 2 * np.linspace(0, 1, 300, endpoint=False)
-
-
-class Read(NamedTuple):
-    """D (H, C) at θ_h (H,), F (E, C) at θ_d (E,) and Smith's G1 (H, C) at θ_h, as slices show them."""
-
-    theta_h: np.ndarray
-    D: np.ndarray
-    theta_d: np.ndarray
-    F: np.ndarray
-    G1: np.ndarray
 
 
 class Factors(NamedTuple):
-    """Of one material: its channels, what was read off it and off the free form, fits and their errors."""
+    """Of one material: D (H, C) over θ_h and F (E, C) over θ_d, of the data and of each fit; G1 besides."""
 
     channels: list[str]
-    data: Read
-    free: Read
+    theta_h: np.ndarray
+    theta_d: np.ndarray
+    D: dict[str, np.ndarray]
+    F: dict[str, np.ndarray]
+    G1: dict[str, tuple[np.ndarray, np.ndarray]]  # angles, and values
     fits: dict[str, FitResult]
     errors: dict[str, dict[str, np.ndarray]]
 
@@ -78,43 +79,56 @@ def find(reflectance: Reflectance) -> Factors:
             "--factors reads the distribution off the backscattering slice: expected samples with wi near "
             "wo, found none"
         )
-    fits = {
-        "shifted gamma": fit_shifted_gamma(table),
+    fits = _fit(table)
+    models = {name: cast(AbstractBRDF, fit.model) for name, fit in fits.items()}
+    errors = {name: {k: np.asarray(v) for k, v in compare(m, table).items()} for name, m in models.items()}
+    sgd, free = cast(ShiftedGammaBRDF, models[_SGD]), cast(FreeFormBRDF, models[_FREE])
+    read = backscattering_ndf(slices, np.nan_to_num(np.asarray(sgd.rho_d)))
+    of_models = {name: _slices_of(model, slices) for name, model in models.items()}
+    D = {name: _distribution(model, slices.theta_h) for name, model in models.items() if name != _FREE}
+    D |= {_DATA: read.D, _FREE: backscattering_ndf(of_models[_FREE], read.rho_d).D}
+    F = {name: _fresnel(s, read) for name, s in ({_DATA: slices} | of_models).items()}
+    G1 = {_DATA: (read.theta_h, read.G1), _FREE: (np.asarray(free.theta), np.asarray(free.G1))}
+    channels = sources.channels(reflectance)
+    return Factors(channels, slices.theta_h, slices.theta_d, D, F, G1, fits, errors)
+
+
+def _fit(table: MeasuredBRDF) -> dict[str, FitResult]:
+    return {
+        _SGD: fit_shifted_gamma(table),
         "GGX": fit_two_slice(TrowbridgeReitz, table),
         "Beckmann": fit_two_slice(Beckmann, table),
         _FREE: fit_factors(table),
     }
-    errors = {
-        name: {k: np.asarray(v) for k, v in compare(_model(f), table).items()} for name, f in fits.items()
-    }
-    rho_d = np.nan_to_num(np.asarray(_model(fits["shifted gamma"]).rho_d))
-    free = _model(fits[_FREE])
-    fitted = MeasuredBRDF(np.asarray(tabulate(free, table.grid)), np.ones(len(rho_d)), table.grid)
-    read = _read_off(slices, rho_d), _read_off(fitted.slices(), rho_d)
-    return Factors(sources.channels(reflectance), *read, fits, errors)
 
 
-def _read_off(slices: Slices, rho_d: np.ndarray) -> Read:
-    ndf = backscattering_ndf(slices, rho_d)
-    G1 = np.stack([np.interp(slices.theta_d, ndf.theta_h, g) for g in ndf.G1.T], axis=-1)
-    lobe = (slices.m_d - rho_d / np.pi) * 4 * np.cos(slices.theta_d)[:, None] ** 2
-    return Read(ndf.theta_h, ndf.D, slices.theta_d, lobe / (ndf.D[:1] * G1**2), ndf.G1)
+def _slices_of(model: AbstractBRDF, like: Slices) -> Slices:
+    """The two slices of a model, at the angles of others."""
+    w = np.asarray(spherical(like.theta_h, 0.0))
+    wi, wo = map(np.asarray, from_half_difference(like.theta_h_mirror, 0.0, like.theta_d, np.pi / 2))
+    return Slices(like.theta_h, evaluate(model, w, w), like.theta_d, evaluate(model, wi, wo))
 
 
-def _model(fit: FitResult) -> Any:
-    """The model: of a class that each fit has for itself."""
-    return fit.model
+def _distribution(model: AbstractBRDF, theta_h: np.ndarray) -> np.ndarray:
+    """D of a parametric fit, (H, C)."""
+    return np.asarray(cast(CookTorrance, model).ndf(spherical(theta_h, 0.0)))
+
+
+def _fresnel(slices: Slices, read: BackscatteringNDF) -> np.ndarray:
+    """F by the formula of the module, (E, C)."""
+    G1 = np.stack([np.interp(slices.theta_d, read.theta_h, g) for g in read.G1.T], axis=-1)
+    lobe = (slices.m_d - read.rho_d / np.pi) * 4 * np.cos(slices.theta_d)[:, None] ** 2
+    return lobe / (read.D[:1] * G1**2)
 
 
 def document(found: Factors) -> dict[str, Any]:
     """All of it as plain numbers: lists with one number, or one list over the angles, for each channel."""
-    data = found.data
     return {
         "channels": found.channels,
-        "theta_h_deg": np.rad2deg(data.theta_h).tolist(),
-        "distribution": data.D.T.tolist(),
-        "theta_d_deg": np.rad2deg(data.theta_d).tolist(),
-        "fresnel": data.F.T.tolist(),
+        "theta_h_deg": np.rad2deg(found.theta_h).tolist(),
+        "distribution": found.D[_DATA].T.tolist(),
+        "theta_d_deg": np.rad2deg(found.theta_d).tolist(),
+        "fresnel": found.F[_DATA].T.tolist(),
         "fits": [_fit_document(name, fit, found.errors[name]) for name, fit in found.fits.items()],
     }
 
@@ -151,45 +165,33 @@ def draw(found: Factors, name: str) -> Figure:
     axes[1].set(title="Fresnel term", ylabel="F")
     axes[2].set(title="masking", xlim=(0, 90), xlabel=r"$\theta$ (degrees)", ylabel="$G_1$")
     for c, channel in enumerate(found.channels):
-        _draw_channel(list(axes), found, c, *pictures.style(channel))
-    data = found.data
-    pictures.set_range(axes[0], data.D[data.theta_h < pictures.GRAZING])
-    pictures.set_range(axes[1], data.F[data.theta_d < pictures.GRAZING])
-    axes[2].set_ylim(bottom=0)
+        _draw_channel(list(axes), found, c, pictures.style(channel))
+    pictures.set_range(axes[0], found.D[_DATA][found.theta_h < pictures.GRAZING])
+    pictures.set_range(axes[1], found.F[_DATA][found.theta_d < pictures.GRAZING])
+    axes[2].set_ylim(0, 1.5)
     axes[2].grid(color="0.92", linewidth=0.6)
     figure.legend(handles=_legend(found.channels), loc="outside lower center", ncols=9, frameon=False)
     figure.suptitle(pictures.plain(name), fontsize=12)
     return figure
 
 
-def _draw_channel(axes: Sequence[Axes], found: Factors, c: int, colour: str, marker: str) -> None:
-    data, free = found.data, found.free
-    points: dict[str, Any] = {"color": colour, "markersize": 3.5, "alpha": 0.45, "mew": 0}
-    axes[0].plot(np.rad2deg(data.theta_h), data.D[:, c], marker, **points)
-    axes[1].plot(np.rad2deg(data.theta_d), data.F[:, c], marker, **points)
-    axes[2].plot(np.rad2deg(data.theta_h), data.G1[:, c], marker, **points)
-    for name, line in _FITS.items():
-        D, F = _fitted(found.fits[name])
-        axes[0].plot(np.rad2deg(_DENSE**2 / _DENSE[-1]), D[:, c], line, color=colour, linewidth=1.3)
-        axes[1].plot(np.rad2deg(_DENSE), F[:, c], line, color=colour, linewidth=1.3)
-    thick: dict[str, Any] = {"color": colour, "linewidth": 3, "alpha": 0.35}
-    axes[0].plot(np.rad2deg(free.theta_h), free.D[:, c], **thick)
-    axes[1].plot(np.rad2deg(free.theta_d), free.F[:, c], **thick)
-    model = _model(found.fits[_FREE])
-    axes[2].plot(np.rad2deg(np.asarray(model.theta)), np.asarray(model.G1)[:, c], **thick)
-
-
-def _fitted(fit: FitResult) -> tuple[np.ndarray, np.ndarray]:
-    """D and F of a Cook–Torrance fit, dense, (N, C); its 1/π is made the 1/4 of `Microfacet`."""
-    model = _model(fit)
-    D = np.asarray(model.ndf(spherical(_DENSE**2 / _DENSE[-1], 0.0)))
-    F = 4 / np.pi * np.asarray(model.rho_s) * np.asarray(model.fresnel(np.cos(_DENSE)))
-    return D, F
+def _draw_channel(axes: Sequence[Axes], found: Factors, c: int, style: tuple[str, str]) -> None:
+    colour, marker = style
+    for name in (_DATA, *_LINES):
+        look = _LINES.get(name, {"marker": marker, **_POINTS})
+        axes[0].plot(np.rad2deg(found.theta_h), found.D[name][:, c], color=colour, **look)
+        axes[1].plot(np.rad2deg(found.theta_d), found.F[name][:, c], color=colour, **look)
+        if name in found.G1:
+            theta, G1 = found.G1[name]
+            axes[2].plot(np.rad2deg(theta), G1[:, c], color=colour, **look)
 
 
 def _legend(channels: Sequence[str]) -> list[Line2D]:
     styles = [(channel, *pictures.style(channel)) for channel in channels if channel]
     by_channel = [Line2D([], [], color=colour, marker=m, markersize=5, label=c) for c, colour, m in styles]
-    points = Line2D([], [], color="0.4", marker="o", markersize=4, linestyle="", label="read off the data")
-    fits = [Line2D([], [], color="0.3", linestyle=line, label=name) for name, line in _FITS.items()]
-    return [*by_channel, points, *fits, Line2D([], [], color="0.3", linewidth=3, alpha=0.35, label=_FREE)]
+    points = Line2D([], [], color="0.4", marker="o", markersize=4, linestyle="", label=_DATA)
+    return [
+        *by_channel,
+        points,
+        *(Line2D([], [], color="0.3", label=n, **look) for n, look in _LINES.items()),
+    ]
