@@ -59,3 +59,23 @@ def test_merl_error_counts_materials_and_channels(capsys, tmp_path):
     assert lines["slices+linear"][6].strip() == "1 of 6"
     assert lines["full"][6].strip() == "0 of 6"
     assert len((tmp_path / "errors.csv").read_text().splitlines()) == 1 + 4 * 2 * 3
+
+
+def test_merl_models_counts_materials(capsys, tmp_path):
+    script = load("merl_models")
+
+    def row(material, model, loss, l2):
+        errors = dict.fromkeys(script.ERRORS, f"{l2}")
+        return {"material": material, "model": model, "loss": loss, "seconds": "", "status": "", **errors}
+
+    rows = [row(m, "sgd", "own", x) for m, x in (("a", 1.0), ("b", 0.05))]
+    rows += [row(m, "beckmann", "l2", 0.9) for m in ("a", "b")]
+    script.write(tmp_path / "rows.csv", rows)
+    errors = script.Errors(rows, ["a", "b", "missing"])
+    script.print_models(errors)
+    script.print_claims(errors)
+    script.plot(errors, tmp_path / "errors.png")
+    out = capsys.readouterr().out
+    (claim,) = [line for line in out.splitlines() if "our sgd below our Beckmann" in line]
+    assert [cell.strip() for cell in claim.split("│")[2:6]] == ["normalized_l2", "1 of 2", "0.583", "1"]
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 5

@@ -1,14 +1,14 @@
-r"""The factors of a reflectance as its data show them, with fits drawn over: Fig. 3 and 6 of Bagher et al. 2012.
+r"""The factors of a reflectance as its data show them, with fits drawn over.
 
-D is read off the backscattering slice by power iteration, and F off the mirror slice by their eq. 10, in the
-normalisation of `Microfacet`:
+As in Fig. 3 and 6 of Bagher et al. 2012, D is read off the backscattering slice, by power iteration, and F
+off the mirror slice by their eq. 10, in the normalisation of `Microfacet`:
 
     F(θ_d) = (m_d(θ_d) − ρ_d/π) 4 cos²θ_d / (D(0) G1(θ_d)²)
 
-The diffuse part that is taken off is that of the shifted gamma fit. F of every fit is read off its mirror slice
-with the same ρ_d, D(0) and G1: where it meets the points, the fit meets the measurement. D is a fit's own; only
-that of the free form, whose factors mean little but for their product, is read off as well. How far the error
-of a fit is from that of the free form is what it could still gain.
+The diffuse part that is taken off is that of the shifted gamma fit. F of every fit is read off its mirror
+slice with the same ρ_d, D(0) and G1: where it meets the points, the fit meets the measurement. D is a fit's
+own; only that of the free form, whose factors mean little but for their product, is read off as well. How far
+the error of a fit is from that of the free form is what it could still gain.
 """
 
 from collections.abc import Sequence
@@ -115,10 +115,11 @@ def _distribution(model: AbstractBRDF, theta_h: np.ndarray) -> np.ndarray:
 
 
 def _fresnel(slices: Slices, read: BackscatteringNDF) -> np.ndarray:
-    """F by the formula of the module, (E, C)."""
+    """F by the formula of the module, (E, C); NaN where no facet faces the normal."""
     G1 = np.stack([np.interp(slices.theta_d, read.theta_h, g) for g in read.G1.T], axis=-1)
     lobe = (slices.m_d - read.rho_d / np.pi) * 4 * np.cos(slices.theta_d)[:, None] ** 2
-    return lobe / (read.D[:1] * G1**2)
+    facing = read.D[:1] * G1**2
+    return np.where(facing > 0, lobe, np.nan) / np.where(facing > 0, facing, 1)
 
 
 def document(found: Factors) -> dict[str, Any]:
@@ -136,7 +137,7 @@ def document(found: Factors) -> dict[str, Any]:
 def _fit_document(name: str, fit: FitResult, errors: dict[str, np.ndarray]) -> dict[str, Any]:
     return {
         "model": name,
-        "rho_d": np.asarray(_model(fit).rho_d).tolist(),
+        "rho_d": np.asarray(cast(CookTorrance, fit.model).rho_d).tolist(),
         "normalized_l2_below_80": errors["normalized_l2"].tolist(),
         "log_error_below_80": errors["log_error"].tolist(),
         "status": [FitStatus(int(s)).name.lower() for s in fit.status],
