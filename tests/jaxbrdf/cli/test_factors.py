@@ -27,6 +27,7 @@ def shown(tmp_path_factory):
     return folder, result
 
 
+@pytest.mark.slow
 def test_what_is_read_off_is_what_made_the_table(shown):
     _, result = shown
     assert result.exit_code == 0, result.stderr
@@ -42,6 +43,7 @@ def test_what_is_read_off_is_what_made_the_table(shown):
     assert errors["shifted gamma"] < errors["Beckmann"]
 
 
+@pytest.mark.slow
 def test_the_picture_is_there(shown):
     folder, _ = shown
     assert (folder / "factors.png").read_bytes().startswith(b"\x89PNG")
