@@ -46,4 +46,4 @@ def test_the_new_distribution_shadows_as_brute_force_says(examples, tmp_path):
 
 
 def test_these_are_all_examples(examples):
-    assert len(examples) == 2
+    assert len(examples) == 3
