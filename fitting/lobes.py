@@ -28,9 +28,9 @@ def best_fits(lanes: Lanes, shared: Shared, starts: int, given: np.ndarray) -> L
     rows = some_pairs(lanes)
     few, shared_few = lanes.thinned(rows), shared.thinned(rows)
     fit = _minimised(_find_lobes(few, shared_few, starts, given), few, shared_few)
-    return (
-        fit if len(rows) == lanes.values.shape[1] else _minimised(_refined(fit, lanes, shared), lanes, shared)
-    )
+    if len(rows) == lanes.values.shape[1]:
+        return fit
+    return _minimised(_refined(fit, lanes, shared), lanes, shared)
 
 
 def some_pairs(lanes: Lanes) -> np.ndarray:

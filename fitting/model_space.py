@@ -72,11 +72,8 @@ class ModelSpace(eqx.Module):
         leaves, structure = jax.tree.flatten(self.prototype)
         for leaf, value in zip(self.own, own, strict=True):
             leaves[leaf] = value
-        for unknown, value in zip(self.linear, x, strict=True):
-            leaves[unknown.leaf] = value
-        for unknown, value in zip(self.shapes, self.shape_values(u), strict=True):
-            leaves[unknown.leaf] = value
-        return jax.tree.unflatten(structure, leaves)
+        numbers = jnp.concatenate([x, self.shape_values(u)])
+        return self.fitted(jax.tree.unflatten(structure, leaves), numbers)
 
     def shape_values(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
         """The parameters at u."""

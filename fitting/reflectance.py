@@ -177,7 +177,7 @@ def _record(model: AbstractBRDF, space: ModelSpace, found: Outcome, alone: bool)
     """The result of B materials in C channels, or of one of them."""
     if alone:
         found = Outcome(*[part[0] for part in found])
-    if not alone:
+    else:
         count = len(found.status)
         model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), model)
     return FitResult(space.fitted(model, jnp.asarray(found.numbers)), *found[1:], parameters=space.names)

@@ -127,8 +127,17 @@ def _refuse_nonsense(files: Sequence[Path], models: Sequence[str], loss: str, ou
     if loss not in (*LOSSES, "image"):
         raise batch.Refused(f"--loss {loss}: no such loss; there are: {', '.join(LOSSES)}, image")
     batch.one_stem_each(files)
-    if out is not None:
-        batch.writable_folder(out)
+    if out is None:
+        return
+    batch.writable_folder(out)
+    written = [out / name for path in files for name in (f"{path.stem}.json", f"{path.stem}.png")]
+    results = {path.resolve() for path in (*written, out / "comparison.csv", out / "comparison.png")}
+    for path in files:
+        if path.resolve() in results or path.stem == "comparison":
+            raise batch.Refused(
+                f"--out {out}: a result would overwrite {path}, or be taken for the summary comparison.*; "
+                "name another folder, or rename the file"
+            )
 
 
 # Fitting and scoring
@@ -206,16 +215,16 @@ def _show(documents: Sequence[Mapping[str, Any]]) -> None:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("status")
     for document in documents:
-        best = min((_mean(fit["normalized_l2"]) for fit in document["fits"]), default=np.nan)
+        best = min((report.mean(fit["normalized_l2"]) for fit in document["fits"]), default=np.nan)
         for k, fit in enumerate(document["fits"]):
             material = Text(report.printable(document["name"]) if k == 0 else "")
-            bold = "bold" if _mean(fit["normalized_l2"]) == best else ""
+            bold = "bold" if report.mean(fit["normalized_l2"]) == best else ""
             table.add_row(material, *_row(fit), style=bold, end_section=k == len(document["fits"]) - 1)
     report.wide_enough(Console()).print(table)
 
 
 def _row(fit: Mapping[str, Any]) -> list[str]:
-    errors = [report.number(_mean(fit[name])) for name in _ERRORS]
+    errors = [report.number(report.mean(fit[name])) for name in _ERRORS]
     words = fit.get("error") or ", ".join(dict.fromkeys(s.replace("_", " ") for s in fit["status"]))
     count = fit.get("parameter_count")
     return [
@@ -226,11 +235,6 @@ def _row(fit: Mapping[str, Any]) -> list[str]:
         report.number(fit["seconds"], ".2g"),
         words,
     ]
-
-
-def _mean(values: Sequence[float | None]) -> float:
-    """The mean over channels; NaN (null in a document that was kept) where one has no error."""
-    return float(np.mean([np.nan if value is None else value for value in values]))
 
 
 def _write_summary(out: Path, documents: Sequence[Mapping[str, Any]]) -> None:

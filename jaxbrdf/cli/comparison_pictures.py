@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxbrdf import AbstractBRDF, MeasuredBRDF
-from jaxbrdf.cli import pictures
+from jaxbrdf.cli import pictures, report
 from jaxbrdf.preview import Appearance, image, render, to_srgb
 from jaxbrdf.scene import lit_sphere
 
@@ -57,7 +57,9 @@ def across(documents: Sequence[Mapping[str, Any]]) -> Figure:
     Bagher et al. 2012, Fig. 11, sorts them by roughness; here the order is that of the error to beat.
     """
     names = [fit["model"] for fit in documents[0]["fits"]]
-    errors = np.array([[_mean(fit["normalized_l2"]) for fit in document["fits"]] for document in documents])
+    errors = np.array(
+        [[report.mean(fit["normalized_l2"]) for fit in document["fits"]] for document in documents]
+    )
     order = np.argsort(-np.nan_to_num(errors[:, 0], nan=np.inf), kind="stable")
     figure = Figure(figsize=(max(7, 0.16 * len(documents) + 3), 5.2), dpi=110, layout="constrained")
     ax = figure.subplots()
@@ -69,10 +71,6 @@ def across(documents: Sequence[Mapping[str, Any]]) -> Figure:
     ax.grid(axis="y", color="0.92", linewidth=0.6)
     figure.legend(loc="outside right upper", frameon=False)
     return figure
-
-
-def _mean(values: Sequence[float | None]) -> float:
-    return float(np.mean([np.nan if value is None else value for value in values]))
 
 
 def _colours(names: Sequence[str]) -> dict[str, Any]:

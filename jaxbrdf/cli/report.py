@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,11 @@ def _add_rows(table: Table, name: str, fit: Any) -> None:
 def number(value: float | None, digits: str = ".3g") -> str:
     """A number in a table; a dash where there is none."""
     return "–" if value is None or not math.isfinite(value) else format(value, digits)
+
+
+def mean(values: Sequence[float | None]) -> float:
+    """The mean over channels; NaN where one has no number, null in a document that was kept."""
+    return float(np.mean([math.nan if value is None else value for value in values]))
 
 
 def wide_enough(console: Console) -> Console:

@@ -97,6 +97,15 @@ def test_nonsense_is_refused(compared, arguments, words):
     assert words in result.stderr
 
 
+def test_no_input_is_overwritten(tmp_path):
+    write_brdf(tmp_path / "comparison.csv", table(Lambertian(0.2)))
+    before = (tmp_path / "comparison.csv").read_bytes()
+    result = run(tmp_path / "comparison.csv", "--models", "lambertian", "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "would overwrite" in result.stderr
+    assert (tmp_path / "comparison.csv").read_bytes() == before
+
+
 def test_a_spectrum_is_refused_with_advice(tmp_path):
     spectrum = MeasuredBRDF(np.ones((*GRID.shape, 9)), np.ones(9), GRID, wavelengths=np.linspace(0.4, 0.7, 9))
     write_brdf(tmp_path / "spectrum.h5", spectrum)
