@@ -86,6 +86,7 @@ from .shadowing import (
     smith_G1,
 )
 from .special import log_upper_gamma, upper_gamma
+from .surface.heightfield import Heightfield
 
 __all__ = [
     "ABC",
@@ -126,6 +127,7 @@ __all__ = [
     "GeneratedMetal",
     "HalfDifferenceGrid",
     "HeightCorrelated",
+    "Heightfield",
     "HemisphericalReflectance",
     "KirchhoffBRDF",
     "Lafortune",

@@ -1,0 +1,1 @@
+"""From measured micro-topography to the distribution of facet normals."""
