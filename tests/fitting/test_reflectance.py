@@ -1,6 +1,8 @@
 """Any model to any measurement: recovery, losses, lobes, status, and errors that say the truth."""
 
 import dataclasses
+from functools import reduce
+from operator import add
 
 import jax
 import jax.numpy as jnp
@@ -170,6 +172,23 @@ def test_a_second_lobe_lowers_the_error_and_is_found():
     lobes = two.model.terms[0].terms[1], two.model.terms[1]
     alphas = sorted(float(lobe.brdf.ndf.alpha_x[0]) for lobe in lobes)
     np.testing.assert_allclose(alphas, [0.06, 0.5], rtol=1e-3)
+
+
+def test_three_lobes_are_found_in_one_another():
+    widths, factors = [0.05, 0.2, 0.7], [0.05, 0.3, 0.9]
+    truth = Lambertian(0.1) + sum_of(widths, factors)
+    result = fit_reflectance(Lambertian(0.3) + sum_of([0.3] * 3, [0.1] * 3), table(truth))
+    found = np.array([float(leaf[0]) for leaf in jax.tree.leaves(result.model)])
+    assert found[0] == pytest.approx(0.1, rel=1e-3)
+    order = np.argsort(found[2::2])
+    np.testing.assert_allclose(found[2::2][order], widths, rtol=1e-3)
+    np.testing.assert_allclose(found[1::2][order], factors, rtol=1e-3)
+
+
+def sum_of(widths, factors):
+    """Ward lobes."""
+    first, *others = (factor * Ward(width) for width, factor in zip(widths, factors, strict=True))
+    return reduce(add, others, first)
 
 
 def test_scattered_samples_of_an_anisotropic_surface():
