@@ -94,7 +94,7 @@ def _errors(rho, m, grid, largest, max_angle):
     )
     cosines = measure * cos_i * cos_o
     log = jnp.log1p(m * cos_i) - jnp.log1p(jnp.maximum(rho, 0) * cos_i)
-    cube = jnp.cbrt(m) - jnp.cbrt(jnp.maximum(rho, 0))
+    cube = _cube_root(m) - _cube_root(jnp.maximum(rho, 0))
 
     def total(x):
         return jnp.sum(x, axis=(0, 1, 2))
@@ -104,3 +104,8 @@ def _errors(rho, m, grid, largest, max_angle):
         "log_error": jnp.sqrt(total(measure * log**2) / total(measure)),
         "cube_root_error": jnp.sqrt(total(cosines * cube**2) / total(cosines)),
     }
+
+
+def _cube_root(x):
+    """x^⅓ for x ≥ 0: what XLA makes of `cbrt` takes four times as long on the CPU."""
+    return jnp.exp(jnp.log(x) / 3)
