@@ -1,5 +1,6 @@
 from .backscattering import BackscatteringNDF, backscattering_ndf
 from .catalogue import catalogue
+from .distribution import fit_ndf
 from .factors import fit_factors
 from .image import fit_image
 from .least_squares import nonnegative_least_squares
@@ -22,6 +23,7 @@ __all__ = [
     "fit_image",
     "fit_losses",
     "fit_masking",
+    "fit_ndf",
     "fit_reflectance",
     "fit_shifted_gamma",
     "fit_two_slice",

@@ -18,7 +18,7 @@ import optimistix as optx
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-_BLOCKS = (4, 16)  # lanes: one material alone, or many
+_BLOCKS = (1, 4, 16)  # lanes: one, one material alone, or many
 _INSIDE = 0.01  # how far from a bound a t is set that should not be on it
 
 

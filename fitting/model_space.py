@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from fitting.masking import log_areas, looked_up
 from fitting.parameters import ShapeSpace, share_of, value_at
-from jaxbrdf.arrays import Range, declared, fitted_ranges
+from jaxbrdf.arrays import Parametric, Range, declared, fitted_ranges
 from jaxbrdf.brdf.base import AbstractBRDF, Scaled, Sum
 from jaxbrdf.directions import Direction
 from jaxbrdf.ndf.base import AbstractNDF
@@ -44,9 +44,12 @@ class Shape(Unknown):
 
 
 class ModelSpace(eqx.Module):
-    """The unknowns of a model, and how its reflectance follows from them; made by `model_space`."""
+    """The unknowns of a model, and how its reflectance follows from them; made by `model_space`.
 
-    prototype: AbstractBRDF  # one channel of it; unknowns and `own` leaves stand in for by anything
+    A distribution alone has unknowns in the same way: it is its own and only lobe.
+    """
+
+    prototype: Parametric  # one channel of it; unknowns and `own` leaves stand in for by anything
     areas: dict[str, Array]  # log σ of families of distributions without a closed form, by class
     shapes: tuple[Shape, ...] = eqx.field(static=True)
     linear: tuple[Unknown, ...] = eqx.field(static=True)
@@ -67,7 +70,7 @@ class ModelSpace(eqx.Module):
             linear=tuple(unknown for unknown in self.linear if unknown.term not in left_out),
         )
 
-    def model(self, u: Float[Array, " n"], x: Float[Array, " k"], own: Sequence[Array]) -> AbstractBRDF:
+    def model(self, u: Float[Array, " n"], x: Float[Array, " k"], own: Sequence[Array]) -> Any:
         """The reflectance of one channel, all its terms."""
         leaves, structure = jax.tree.flatten(self.prototype)
         for leaf, value in zip(self.own, own, strict=True):
@@ -80,11 +83,16 @@ class ModelSpace(eqx.Module):
         values = [value_at(unknown.range, u[k]) for k, unknown in enumerate(self.shapes)]
         return jnp.stack(values) if values else u
 
+    def shares_of(self, model: Parametric) -> Float[np.ndarray, " n"]:
+        """The u of another model of the same structure."""
+        leaves = jax.tree.leaves(model)
+        return np.array([float(share_of(shape.range, leaves[shape.leaf])) for shape in self.shapes])
+
     def slopes(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
         """d parameter / du."""
         return jnp.diagonal(jax.jacfwd(self.shape_values)(u))
 
-    def fitted(self, model: AbstractBRDF, numbers: Float[Array, "... n"]) -> AbstractBRDF:
+    def fitted(self, model: Parametric, numbers: Float[Array, "... n"]) -> Any:
         """The model with the unknowns replaced by numbers, in the order of `names`."""
         leaves, structure = jax.tree.flatten(model)
         for k, unknown in enumerate((*self.linear, *self.shapes)):
@@ -115,7 +123,7 @@ class ModelSpace(eqx.Module):
         count = len(terms_of(self.prototype))
         return self.parts(u, own, wi, wo, [i for i in range(count) if i not in self.lobes or i in present])
 
-    def _quick(self, brdf: AbstractBRDF) -> AbstractBRDF:
+    def _quick(self, brdf: Any) -> Any:
         """The same reflectance with every integrated projected area looked up."""
 
         def look_up(node):
@@ -125,7 +133,7 @@ class ModelSpace(eqx.Module):
         return jax.tree.map(look_up, brdf, is_leaf=_is_ndf)
 
 
-def model_space(model: AbstractBRDF, fixed: Sequence[str] = ()) -> tuple[ModelSpace, np.ndarray, list]:
+def model_space(model: Parametric, fixed: Sequence[str] = ()) -> tuple[ModelSpace, np.ndarray, list]:
     """The space around a model; where the model itself lies in it, u (C, n); and its `own` leaves (C, …).
 
     C is the number of channels of the model's parameters, or 1. `fixed` names parameters that keep their
@@ -149,7 +157,7 @@ def model_space(model: AbstractBRDF, fixed: Sequence[str] = ()) -> tuple[ModelSp
     return space, u, [np.moveaxis(np.asarray(leaves[i]), -1, 0) for i in own]
 
 
-def _unknowns(model: AbstractBRDF, paths: Sequence[tuple], fixed: Sequence[str]) -> list[Unknown]:
+def _unknowns(model: Parametric, paths: Sequence[tuple], fixed: Sequence[str]) -> list[Unknown]:
     """What a fit seeks: the base's first, then lobe by lobe."""
     names = [jax.tree_util.keystr(path).lstrip(".") for path in paths]
     terms = [i for i, term in enumerate(terms_of(model)) for _ in jax.tree.leaves(term)]
@@ -167,7 +175,7 @@ def _unknowns(model: AbstractBRDF, paths: Sequence[tuple], fixed: Sequence[str])
     return sorted(unknowns, key=lambda unknown: (unknown.term in lobes, unknown.term))
 
 
-def terms_of(model: AbstractBRDF) -> list[AbstractBRDF]:
+def terms_of(model: Parametric) -> list[Parametric]:
     """What is summed, sums within sums resolved; the leaves of all terms in a row are those of the model."""
     if isinstance(model, Sum):
         return [term for part in model.terms for term in terms_of(part)]
@@ -193,8 +201,11 @@ def _scaled(model: Any, path: tuple) -> bool:
     return False
 
 
-def _areas(model: AbstractBRDF, lobes: Sequence[int]) -> dict[str, Array]:
-    """log σ of the families of isotropic distributions in the lobes whose σ has no closed form."""
+def _areas(model: Parametric, lobes: Sequence[int]) -> dict[str, Array]:
+    """log σ of the families of isotropic distributions in the lobes of a reflectance whose σ has no closed
+    form."""
+    if not isinstance(model, AbstractBRDF):
+        return {}
     nodes = [node for i in lobes for node in jax.tree.leaves(terms_of(model)[i], is_leaf=_is_ndf)]
     return {
         type(node).__name__: jnp.asarray(log_areas(ShapeSpace(type(node))))

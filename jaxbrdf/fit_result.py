@@ -67,4 +67,4 @@ class FitResult(eqx.Module):
     @property
     def success(self) -> np.ndarray:
         """Whether each fit converged, on a bound or not."""
-        return np.asarray(self.status) <= FitStatus.AT_BOUND
+        return np.asarray(np.asarray(self.status) <= FitStatus.AT_BOUND)

@@ -11,6 +11,7 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
@@ -64,6 +65,16 @@ class AbstractNDF(Parametric):
         """The density of `sample_facing`, 1/sr."""
         n = jnp.array(NORMAL, m.dtype)
         return self._density(m) * jnp.maximum(cos_theta(m), 0) / self._projected_area(n)
+
+    @classmethod
+    def guesses(
+        cls, m: Float[np.ndarray, "K 3"], D: Float[np.ndarray, " K"], weight: Float[np.ndarray, " K"]
+    ) -> "list[AbstractNDF]":
+        """Distributions of the class near a measured one, for a fit to start from; none unless it knows some.
+
+        D in 1/sr was measured at the normals m; `weight` is in proportion to what each stands for.
+        """
+        return []
 
     @property
     @abstractmethod

@@ -1,11 +1,12 @@
 """The ellipsoid distribution: the facets of an ellipsoid in any position, skewed where it is tilted."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbrdf.arrays import POSITIVE, Parameter, Range, parameter
 from jaxbrdf.directions import NORMAL, Direction, cos_theta, dot, rotate_x, rotate_y, rotate_z, safe_normalize
-from jaxbrdf.ndf.base import AbstractVisibleNDF, one_each
+from jaxbrdf.ndf.base import AbstractNDF, AbstractVisibleNDF, one_each
 from jaxbrdf.ndf.visible_hemisphere import sample_visible_hemisphere
 from jaxbrdf.special import safe_sqrt
 
@@ -34,6 +35,21 @@ class Ellipsoid(AbstractVisibleNDF):
     @property
     def is_isotropic(self) -> bool:
         return False
+
+    @classmethod
+    def guesses(
+        cls, m: Float[np.ndarray, "K 3"], D: Float[np.ndarray, " K"], weight: Float[np.ndarray, " K"]
+    ) -> list[AbstractNDF]:
+        """The ellipsoid whose D^(−1/2) is nearest: c mᵀQm with Q = A⁻¹A^{−T} = Rᵀ S^{−2} R, linear in six
+        numbers. Weighed by D³, as d D^(−1/2) = −½ D^(−3/2) dD; cells that hold nothing are left out."""
+        held = D > 0
+        root = np.sqrt(weight[held] * D[held] ** 3)
+        x, y, z = m[held].T
+        monomials = np.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y], axis=1)
+        if len(x) < 6:
+            return []
+        a, b, c, d, e, f = np.linalg.lstsq(monomials * root[:, None], root / np.sqrt(D[held]), rcond=None)[0]
+        return [_from_quadric(np.array([[a, f, e], [f, b, d], [e, d, c]]))]
 
     def _density(self, m: Direction) -> Float[Array, "..."]:
         x, y, z = jnp.moveaxis(self._rotate(m), -1, 0)
@@ -70,3 +86,16 @@ class Ellipsoid(AbstractVisibleNDF):
 
     def _rotate_back(self, w: Direction) -> Direction:
         return rotate_z(rotate_y(rotate_x(w, -self.theta_x), -self.theta_y), -self.theta_z)
+
+
+def _from_quadric(Q: np.ndarray) -> Ellipsoid:
+    """The ellipsoid of c Q = c Rᵀ S^{−2} R, whatever c is; of its names that with |θ_z| ≤ π/4."""
+    squares, axes = np.linalg.eigh(Q)
+    squares = np.maximum(squares, 1e-9 * squares[-1])
+    order = np.argsort(np.abs(axes[2]))  # the axis nearest to the normal is z
+    first, second = sorted(order[:2], key=lambda k: -abs(axes[0, k]))  # the one nearest to x is x
+    R = axes[:, [first, second, order[2]]].T
+    R = R * np.sign(np.array([R[0, 0], R[1, 1], R[2, 2]]))[:, None]
+    alpha = np.sqrt(squares[order[2]] / squares[[first, second]])
+    angles = np.arctan2(-R[1, 2], R[2, 2]), np.arcsin(R[0, 2]), np.arctan2(-R[0, 1], R[0, 0])
+    return Ellipsoid(alpha[0], alpha[1], *angles)
