@@ -87,6 +87,10 @@ from .shadowing import (
 )
 from .special import log_upper_gamma, upper_gamma
 from .surface.heightfield import Heightfield
+from .surface.levelling import levelled, without_outliers
+from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
+from .surface.plane_fit import default_sigma
+from .surface.random_surface import gaussian_surface
 
 __all__ = [
     "ABC",
@@ -173,19 +177,26 @@ __all__ = [
     "as_table",
     "ashikhmin_material",
     "compare",
+    "default_sigma",
     "dot",
     "energy_excess",
     "facet_area",
+    "facet_ndf",
+    "filtered_ndf",
+    "filtered_normals",
     "from_frame",
     "from_half_difference",
+    "gaussian_surface",
     "half_vector",
     "hemisphere",
     "kappa_from_reflectance",
     "lab_difference",
     "largest_albedo",
+    "levelled",
     "lit_sphere",
     "lit_surface",
     "log_upper_gamma",
+    "mean_ndf",
     "merl_grid",
     "metrics",
     "mixture",
@@ -204,4 +215,5 @@ __all__ = [
     "to_half_difference",
     "to_spherical",
     "upper_gamma",
+    "without_outliers",
 ]

@@ -1,0 +1,106 @@
+r"""The distribution of a height map's normals: those of its facets, or of planes fitted around its points.
+
+Each point of the map stands for dx · dy of the macro-surface, so that a count of normals is one of projected
+area:  D = count / (n dA) in a cell of the disk, dA = (2/N)², and Σ D dA = 1 (Dong, Walter, Marschner &
+Greenberg 2015, eq. 2 and section 5).
+"""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbrdf.ndf.base import from_slopes
+from jaxbrdf.ndf.tabulated import TabulatedNDF
+from jaxbrdf.surface.heightfield import Heightfield
+from jaxbrdf.surface.plane_fit import checked_sigma, plane_slopes
+
+_SIZE = 1025
+
+
+def facet_ndf(heightfield: Heightfield, size: int = _SIZE) -> TabulatedNDF:
+    """The distribution of the facets: two triangles for each square of four points, weighed by area.
+
+    Triangles with a missing corner are left out. `size` is N, odd for a cell at the normal itself. Detail
+    below the wavelength counts fully here, which makes it wider than what reflects: see `filtered_ndf`.
+    Raises ValueError where no triangle is whole.
+    """
+    return mean_ndf([heightfield], facet_cells, size)
+
+
+def filtered_ndf(heightfield: Heightfield, sigma: float | None = None, size: int = _SIZE) -> TabulatedNDF:
+    """The distribution of the normals of `filtered_normals` at the measured points.
+
+    Dong et al. 2015, section 5. Raises ValueError as `filtered_normals`, and where no normal is known.
+    """
+    cells = partial(filtered_cells, sigma=checked_sigma(heightfield, sigma))
+    return mean_ndf([heightfield], cells, size)
+
+
+@eqx.filter_jit
+def filtered_normals(heightfield: Heightfield, sigma: float | None = None) -> Float[Array, "ny nx 3"]:
+    r"""The normal at every pixel of the plane fitted to the heights around it, n ∝ (−∂z/∂x, −∂z/∂y, 1).
+
+    Points weigh exp(−d²/2σ²) by their horizontal distance d, missing ones nothing. `sigma` σ is in µm: by
+    default `default_sigma`, 1 µm or 1.5 pixels where these are coarser. Pixels that were not measured have a
+    normal too; it is NaN where fewer than three points weigh, or points in a line. The slopes are linear in
+    the heights, and so are exact derivatives by them. Raises ValueError for a sigma below the pixel size.
+    """
+    q, r = plane_slopes(heightfield, checked_sigma(heightfield, sigma))
+    return from_slopes(-q, -r)
+
+
+Cells = Callable[[Heightfield, int], Int[np.ndarray, "..."]]
+
+
+def mean_ndf(heightfields: Iterable[Heightfield], cells: Cells, size: int = _SIZE) -> TabulatedNDF:
+    """The distribution of many maps, one after another in the memory of one: each point counts the same.
+
+    `cells` is `facet_cells` or `filtered_cells`. Raises ValueError where there is nothing to count.
+    """
+    counts = np.zeros(size * size + 1, np.int64)
+    for heightfield in heightfields:
+        counts += np.bincount(np.ravel(cells(heightfield, size)), minlength=size * size + 1)
+    total = counts[:-1].sum()
+    if not total:
+        raise ValueError("no normal is known: too few heights were measured next to one another")
+    return TabulatedNDF((counts[:-1] / (total * (2 / size) ** 2)).reshape(size, size))
+
+
+def facet_cells(heightfield: Heightfield, size: int) -> Int[np.ndarray, " n"]:
+    """The cell of each triangle's normal in the flattened table; N² where a corner is missing."""
+    return np.asarray(_facet_cells(heightfield, size))
+
+
+def filtered_cells(
+    heightfield: Heightfield, size: int, sigma: float | None = None
+) -> Int[np.ndarray, "ny nx"]:
+    """The cell of each pixel's filtered normal in the flattened table; N² where it is not to be counted."""
+    return np.asarray(_filtered_cells(heightfield, size, checked_sigma(heightfield, sigma)))
+
+
+@eqx.filter_jit
+def _facet_cells(heightfield: Heightfield, size: int):
+    z, known = heightfield.z, heightfield.valid
+    along_x, along_y = jnp.diff(z, axis=1) / heightfield.dx, jnp.diff(z, axis=0) / heightfield.dy
+    square = known[:-1, :-1], known[:-1, 1:], known[1:, :-1], known[1:, 1:]
+    lower = _cells(along_x[:-1], along_y[:, :-1], square[0] & square[1] & square[2], size)
+    upper = _cells(along_x[1:], along_y[:, 1:], square[1] & square[2] & square[3], size)
+    return jnp.concatenate([lower.ravel(), upper.ravel()])
+
+
+@eqx.filter_jit
+def _filtered_cells(heightfield: Heightfield, size: int, sigma: float):
+    q, r = plane_slopes(heightfield, sigma)
+    return _cells(q, r, heightfield.valid & jnp.isfinite(q), size)
+
+
+def _cells(q: Float[Array, "..."], r: Float[Array, "..."], known: Bool[Array, "..."], size: int):
+    """The cell of the normal of slopes (q, r)."""
+    q, r = jnp.where(known, q, 0), jnp.where(known, r, 0)
+    scale = size / (2 * jnp.sqrt(1 + q**2 + r**2))
+    column, row = (jnp.clip((size / 2 - t * scale).astype(jnp.int32), 0, size - 1) for t in (q, r))
+    return jnp.where(known, row * size + column, size * size)

@@ -1,0 +1,131 @@
+r"""Planes fitted to a height map around each of its points, weighed by a Gaussian of the distance.
+
+    min Σ c w (z − p − q u − r v)²,   w = exp(−(u² + v²) / 2σ²)
+
+over all points, (u, v) away from the one looked at; c is 1 where a height was measured, 0 where not. The
+weight is a product of a function of u and one of v, so that every sum is a product with a banded matrix from
+the right and one from the left. The bands end with the map: its border needs no care.
+"""
+
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbrdf.special import safe_divide
+from jaxbrdf.surface.heightfield import Heightfield
+
+_REACH = 5.5  # sigmas: what is farther weighs less than 3e-7
+_BLOCK = 128  # columns that are multiplied in one product
+_SINGULAR = 1e-5  # a spread of weights below this, in units of σ⁴, is that of points in a line
+
+
+def default_sigma(heightfield: Heightfield) -> float:
+    """1 µm as in Dong et al. 2015, section 5, or 1.5 pixels where these are coarser."""
+    return max(1.0, 1.5 * max(heightfield.dx, heightfield.dy))
+
+
+def checked_sigma(heightfield: Heightfield, sigma: float | None) -> float:
+    """`sigma` or the default one. Raises ValueError for less than a pixel: there is nothing to average."""
+    if sigma is None:
+        return default_sigma(heightfield)
+    pixel = max(heightfield.dx, heightfield.dy)
+    if not sigma >= pixel:
+        raise ValueError(f"sigma must be at least the larger pixel size, {pixel:g} µm; found {sigma:g} µm")
+    return float(sigma)
+
+
+def plane_slopes(
+    heightfield: Heightfield, sigma: float
+) -> tuple[Float[Array, "ny nx"], Float[Array, "ny nx"]]:
+    """(q, r) at every pixel, measured or not; NaN where the measured points around are fewer than three, or
+    in a line."""
+    # The slopes of one plane through everything are added again: what is left keeps its digits in float32.
+    z, (a, b) = _without_plane(heightfield)
+    pixels = sigma / heightfield.dx, sigma / heightfield.dy
+    q, r = _complete(z, pixels) if heightfield.mask is None else _partial(z, heightfield.valid, pixels)
+    return q / sigma + a, r / sigma + b
+
+
+def _complete(z: Float[Array, "ny nx"], pixels: tuple[float, float]):
+    """Where nothing is missing u and v are uncorrelated: q is the mean over v of slopes along u."""
+    x, y = pixels
+    q = _times(_times(z, "slope", x).T, "mean", y).T
+    r = _times(_times(z, "mean", x).T, "slope", y).T
+    return q, r
+
+
+def _partial(z: Float[Array, "ny nx"], valid: Bool[Array, "ny nx"], pixels: tuple[float, float]):
+    """The normal equations of each point, solved for the slopes."""
+    c_u = {power: _times(valid.astype(z.dtype), power, pixels[0]) for power in ("1", "u", "u²")}
+    z_u = {power: _times(z, power, pixels[0]) for power in ("1", "u")}
+
+    def sums(rows, power):
+        return _times(rows.T, power, pixels[1]).T
+
+    weight = sums(c_u["1"], "1")
+    u, v, height = (
+        safe_divide(sums(*moment), weight) for moment in ((c_u["u"], "1"), (c_u["1"], "u"), (z_u["1"], "1"))
+    )
+    uu = safe_divide(sums(c_u["u²"], "1"), weight) - u**2
+    uv = safe_divide(sums(c_u["u"], "u"), weight) - u * v
+    vv = safe_divide(sums(c_u["1"], "u²"), weight) - v**2
+    uz = safe_divide(sums(z_u["u"], "1"), weight) - u * height
+    vz = safe_divide(sums(z_u["1"], "u"), weight) - v * height
+    det = uu * vv - uv**2
+    known = det > _SINGULAR
+    q, r = (safe_divide(top, jnp.where(known, det, 0)) for top in (uz * vv - vz * uv, vz * uu - uz * uv))
+    return jnp.where(known, q, jnp.nan), jnp.where(known, r, jnp.nan)
+
+
+def _without_plane(heightfield: Heightfield):
+    """Heights less a plane that most of their slope is in, 0 where they are missing, and its slopes."""
+    z, valid = heightfield.heights, heightfield.valid.astype(heightfield.z.dtype)
+    x, y = (
+        jnp.asarray(size * (np.arange(n) - (n - 1) / 2), z.dtype)
+        for size, n in zip((heightfield.dx, heightfield.dy), z.shape[::-1], strict=True)
+    )
+    level = (z - jnp.sum(z) / jnp.sum(valid)) * valid
+    a = safe_divide(jnp.sum(level, axis=0) @ x, jnp.sum(valid, axis=0) @ x**2)
+    b = safe_divide(jnp.sum(level, axis=1) @ y, jnp.sum(valid, axis=1) @ y**2)
+    return level - (a * x[None, :] + b * y[:, None]) * valid, (a, b)
+
+
+# Products with banded matrices
+
+
+def _times(rows: Float[Array, "m n"], kernel: str, pixels: float) -> Float[Array, "m n"]:
+    """Each row times a banded matrix, as many columns at once as share a block; σ is so many pixels."""
+    blocks = _bands(kernel, rows.shape[1], pixels)
+    products = [rows[:, at : at + len(block)] @ jnp.asarray(block, rows.dtype) for at, block in blocks]
+    return jnp.concatenate(products, axis=1)
+
+
+@lru_cache(maxsize=64)
+def _bands(kernel: str, n: int, pixels: float) -> list[tuple[int, np.ndarray]]:
+    """A matrix (n, n) whose column j sums over the points k around j, in blocks of columns: of each the first
+    row that is not 0, and the rows from there."""
+    reach, blocks = int(np.ceil(_REACH * pixels)), []
+    for first in range(0, n, _BLOCK):
+        columns = np.arange(first, min(n, first + _BLOCK))
+        rows = np.arange(max(0, first - reach), min(n, columns[-1] + 1 + reach))
+        u = (rows[:, None] - columns[None, :]) / pixels
+        w = np.exp(-(u**2) / 2) * (np.abs(u) <= _REACH)
+        blocks.append((int(rows[0]), _KERNELS[kernel](w, u)))
+    return blocks
+
+
+def _slope(w: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """What makes of heights the slope of the line through them, u in units of σ."""
+    offset = u - np.sum(w * u, axis=0) / np.sum(w, axis=0)
+    return w * offset / np.sum(w * offset**2, axis=0)
+
+
+_KERNELS = {
+    "1": lambda w, u: w,
+    "u": lambda w, u: w * u,
+    "u²": lambda w, u: w * u**2,
+    "mean": lambda w, u: w / np.sum(w, axis=0),
+    "slope": _slope,
+}
