@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.ndimage import distance_transform_edt, median_filter
+from scipy.ndimage import distance_transform_edt, percentile_filter
 
 from jaxbrdf.surface.heightfield import Heightfield
 
@@ -36,11 +36,12 @@ def _nearest(basis: Float[Array, "k ny nx"], heightfield: Heightfield) -> Float[
 def without_outliers(heightfield: Heightfield, threshold: float = 6.0, window: int = 5) -> Heightfield:
     """The map with single wrong heights masked out: spikes that stand out from their neighbourhood.
 
-    Left out are heights that, a plane being taken off, are farther than `threshold` times the usual distance
-    from the median of the `window` × `window` pixels around, missing ones being filled from next to them; the
-    usual distance being 1.48 times the median of all distances (of a normal
-    distribution the standard deviation). Dong et al. 2015 leave all heights in. Raises ValueError unless
-    threshold > 0 and window is odd and at least 3.
+    Left out are heights that, a plane being taken off, are farther from the median of the `window` × `window`
+    pixels around than `threshold` times the spread there, missing pixels being filled from next to them. The
+    spread is 0.741 times the distance between the quartiles in the window (of a normal distribution the
+    standard deviation), or its mean over the map where that is more: it holds the relief as well as the
+    noise, so that a smooth map, or one in steps, stays whole. Dong et al. 2015 leave all heights in.
+    Raises ValueError unless threshold > 0 and window is odd and at least 3.
     """
     if not threshold > 0 or window < 3 or window % 2 == 0:
         raise ValueError(
@@ -49,6 +50,8 @@ def without_outliers(heightfield: Heightfield, threshold: float = 6.0, window: i
         )
     valid, z = np.asarray(heightfield.valid), np.asarray(levelled(heightfield).heights)
     nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    distance = np.abs(z - median_filter(z[tuple(nearest)], window, mode="nearest"))
-    usual = 1.4826 * np.median(distance[valid])
-    return dataclasses.replace(heightfield, mask=valid & (distance <= threshold * usual))
+    filled = z[tuple(nearest)]
+    low, median, high = (percentile_filter(filled, p, window, mode="nearest") for p in (25, 50, 75))
+    spread = 0.741 * (high - low)
+    largest = threshold * np.maximum(spread, np.mean(spread[valid]))
+    return dataclasses.replace(heightfield, mask=valid & (np.abs(filled - median) <= largest))

@@ -40,17 +40,16 @@ def filtered_ndf(heightfield: Heightfield, sigma: float | None = None, size: int
     return mean_ndf([heightfield], cells, size)
 
 
-@eqx.filter_jit
 def filtered_normals(heightfield: Heightfield, sigma: float | None = None) -> Float[Array, "ny nx 3"]:
     r"""The normal at every pixel of the plane fitted to the heights around it, n ∝ (−∂z/∂x, −∂z/∂y, 1).
 
     Points weigh exp(−d²/2σ²) by their horizontal distance d, missing ones nothing. `sigma` σ is in µm: by
     default `default_sigma`, 1 µm or 1.5 pixels where these are coarser. Pixels that were not measured have a
-    normal too; it is NaN where fewer than three points weigh, or points in a line. The slopes are linear in
-    the heights, and so are exact derivatives by them. Raises ValueError for a sigma below the pixel size.
+    normal too; it is NaN where the weights of the points around do not spread enough to hold a plane (a
+    determinant of their covariance below 1e-3 σ⁴): too few, or too nearly in a line. The slopes are linear
+    in the heights. Raises ValueError for a sigma below the pixel size.
     """
-    q, r = plane_slopes(heightfield, checked_sigma(heightfield, sigma))
-    return from_slopes(-q, -r)
+    return _filtered_normals(heightfield, checked_sigma(heightfield, sigma))
 
 
 Cells = Callable[[Heightfield, int], Int[np.ndarray, "..."]]
@@ -80,6 +79,12 @@ def filtered_cells(
 ) -> Int[np.ndarray, "ny nx"]:
     """The cell of each pixel's filtered normal in the flattened table; N² where it is not to be counted."""
     return np.asarray(_filtered_cells(heightfield, size, checked_sigma(heightfield, sigma)))
+
+
+@eqx.filter_jit
+def _filtered_normals(heightfield: Heightfield, sigma: float) -> Float[Array, "ny nx 3"]:
+    q, r = plane_slopes(heightfield, sigma)
+    return from_slopes(-q, -r)
 
 
 @eqx.filter_jit

@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float
 from jaxbrdf.special import safe_divide
 from jaxbrdf.surface.heightfield import Heightfield
 
-_REACH = 5.5  # sigmas: what is farther weighs less than 3e-7
+_REACH = 6.5  # sigmas: what is farther weighs less than 1e-9
 _BLOCK = 128  # columns that are multiplied in one product
-_SINGULAR = 1e-5  # a spread of weights below this, in units of σ⁴, is that of points in a line
+_SINGULAR = 1e-3  # a determinant of the weights' covariance, in units of σ⁴, that float32 cannot divide by
 
 
 def default_sigma(heightfield: Heightfield) -> float:
@@ -39,13 +39,17 @@ def checked_sigma(heightfield: Heightfield, sigma: float | None) -> float:
 def plane_slopes(
     heightfield: Heightfield, sigma: float
 ) -> tuple[Float[Array, "ny nx"], Float[Array, "ny nx"]]:
-    """(q, r) at every pixel, measured or not; NaN where the measured points around are fewer than three, or
-    in a line."""
+    """(q, r) at every pixel, measured or not; NaN where the weights of the points around do not spread
+    enough to hold a plane: too few, or too nearly in a line."""
     # The slopes of one plane through everything are added again: what is left keeps its digits in float32.
     z, (a, b) = _without_plane(heightfield)
     pixels = sigma / heightfield.dx, sigma / heightfield.dy
-    q, r = _complete(z, pixels) if heightfield.mask is None else _partial(z, heightfield.valid, pixels)
-    return q / sigma + a, r / sigma + b
+    if heightfield.mask is None:
+        q, r = _complete(z, pixels)
+        return q / sigma + a, r / sigma + b
+    q, r, known = _partial(z, heightfield.valid, pixels)
+    # NaN comes last: added to a and b, it would spread to the gradients of all pixels.
+    return jnp.where(known, q / sigma + a, jnp.nan), jnp.where(known, r / sigma + b, jnp.nan)
 
 
 def _complete(z: Float[Array, "ny nx"], pixels: tuple[float, float]):
@@ -57,7 +61,7 @@ def _complete(z: Float[Array, "ny nx"], pixels: tuple[float, float]):
 
 
 def _partial(z: Float[Array, "ny nx"], valid: Bool[Array, "ny nx"], pixels: tuple[float, float]):
-    """The normal equations of each point, solved for the slopes."""
+    """The normal equations of each point, solved for the slopes, and where they could be."""
     c_u = {power: _times(valid.astype(z.dtype), power, pixels[0]) for power in ("1", "u", "u²")}
     z_u = {power: _times(z, power, pixels[0]) for power in ("1", "u")}
 
@@ -76,7 +80,7 @@ def _partial(z: Float[Array, "ny nx"], valid: Bool[Array, "ny nx"], pixels: tupl
     det = uu * vv - uv**2
     known = det > _SINGULAR
     q, r = (safe_divide(top, jnp.where(known, det, 0)) for top in (uz * vv - vz * uv, vz * uu - uz * uv))
-    return jnp.where(known, q, jnp.nan), jnp.where(known, r, jnp.nan)
+    return q, r, known
 
 
 def _without_plane(heightfield: Heightfield):

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxbrdf import Heightfield, levelled, without_outliers
+from jaxbrdf import Heightfield, gaussian_surface, levelled, without_outliers
 
 Y, X = np.mgrid[:30, :40] * 0.5
 
@@ -39,6 +39,17 @@ def test_spikes_are_masked_and_slopes_are_not():
     expected[7, 9] = False
     assert not kept.mask[7, 9]
     assert np.mean(np.asarray(kept.mask) != expected) < 0.01
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05, 0.2])
+def test_surfaces_without_noise_lose_their_spike_alone(step):
+    """Half the pixels of a smooth surface, or of one in steps, are the median of those around them."""
+    z = np.asarray(gaussian_surface(jax.random.key(0), (120, 160), 0.25, 0.5, 6.0).z)
+    z = np.round(z / step) * step if step else z.copy()
+    z[7, 9] += 20
+    expected = np.ones(z.shape, bool)
+    expected[7, 9] = False
+    np.testing.assert_array_equal(without_outliers(Heightfield(z, 0.25, 0.25)).mask, expected)
 
 
 def test_misuse_is_explained():

@@ -32,15 +32,22 @@ def rough():
 
 
 def brute_force(z, mask):
-    """Slopes (24, 31, 2) of the weighted least-squares plane around every point, over the whole map."""
+    """Slopes (n, 2) of the weighted least-squares plane around every measured point, over the whole map."""
     y, x = np.meshgrid(DY * np.arange(z.shape[0]), DX * np.arange(z.shape[1]), indexing="ij")
-    slopes = np.empty((*z.shape, 2))
-    for i, j in np.ndindex(z.shape):
+    slopes = []
+    for i, j in np.argwhere(mask):
         u, v = x - x[i, j], y - y[i, j]
         root = np.sqrt(np.exp(-(u**2 + v**2) / (2 * SIGMA**2)) * mask).ravel()
         design = np.stack([np.ones_like(u), u, v], axis=-1).reshape(-1, 3)
-        slopes[i, j] = np.linalg.lstsq(design * root[:, None], z.ravel() * root)[0][1:]
-    return slopes
+        slopes.append(np.linalg.lstsq(design * root[:, None], z.ravel() * root)[0][1:])
+    return np.array(slopes)
+
+
+def apart(normals, slopes):
+    """Degrees between normals (n, 3) and those of slopes (n, 2)."""
+    truth = np.concatenate([-slopes, np.ones((len(slopes), 1))], axis=-1)
+    truth /= np.linalg.norm(truth, axis=-1, keepdims=True)
+    return np.rad2deg(np.linalg.norm(np.asarray(normals, float) - truth, axis=-1))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -49,12 +56,20 @@ def test_filtered_normals_are_those_of_weighted_planes(rough, dtype, complete):
     z, mask = rough
     spoiled = z if complete else np.where(mask, z, 1e9)
     heightfield = Heightfield(spoiled.astype(dtype), DX, DY, None if complete else mask)
-    normals = np.asarray(filtered_normals(heightfield, SIGMA), float)
-    slopes = brute_force(heightfield.heights, np.ones_like(mask) if complete else mask)
-    truth = np.concatenate([-slopes, np.ones((*z.shape, 1))], axis=-1)
-    truth /= np.linalg.norm(truth, axis=-1, keepdims=True)
-    apart = np.linalg.norm(normals - truth, axis=-1)
-    assert np.rad2deg(np.max(apart[mask])) < 1e-3
+    normals = filtered_normals(heightfield, SIGMA)
+    measured = np.ones_like(mask) if complete else mask
+    assert np.max(apart(normals[measured], brute_force(heightfield.heights, measured))) < 1e-3
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_where_little_was_measured_a_normal_is_right_or_unknown(dtype):
+    """Three points in two hundred: many lean on points that hardly weigh."""
+    rng = np.random.default_rng(3)
+    z, mask = rng.standard_normal((80, 80)), rng.random((80, 80)) > 0.985
+    normals = filtered_normals(Heightfield(z.astype(dtype), DX, DY, mask), SIGMA)[mask]
+    known = np.isfinite(normals[:, 0])
+    assert 0.5 < known.mean() < 0.95
+    assert np.max(apart(normals[known], brute_force(z, mask)[known])) < 1e-3
 
 
 def test_a_normal_is_unknown_where_too_little_was_measured():
@@ -81,6 +96,23 @@ def test_gradients_by_the_heights_are_those_of_finite_differences(rough):
         step[i, j] = 1e-4
         difference = (total(z + step) - total(z - step)) / 2e-4
         assert float(gradient[i, j]) == pytest.approx(float(difference), rel=1e-5, abs=1e-7)
+
+
+def test_an_unknown_normal_leaves_the_gradient_of_the_others_alone():
+    z = np.random.default_rng(4).standard_normal((12, 40))
+    mask = np.ones(z.shape, bool)
+    mask[:, 20:] = False  # the last pixels are too far from anything
+
+    def total(z):
+        normals = filtered_normals(Heightfield(z, 1, 1, mask), 1.0)
+        return jnp.sum(jnp.where(jnp.isnan(normals), 0, normals)[:, :20, 0])
+
+    assert np.isnan(filtered_normals(Heightfield(z, 1, 1, mask), 1.0)[:, -1]).all()
+    gradient = jax.grad(total)(z)
+    step = np.where(np.arange(40) == 7, 1e-5, 0.0) * np.ones((12, 1))
+    difference = (total(z + step) - total(z - step)) / 2e-5
+    assert float(np.sum(gradient[:, 7])) == pytest.approx(float(difference), rel=1e-6)
+    np.testing.assert_array_equal(gradient[:, 20:], 0)
 
 
 def test_a_batch_is_a_vmap(rough):
@@ -151,6 +183,7 @@ def test_many_maps_count_as_one_of_all_their_points(rough):
 
 def test_sigma_is_a_micrometre_or_more_where_pixels_are_coarse():
     flat = np.zeros((8, 8))
+    assert filtered_normals(Heightfield(flat, 0.1, 0.2), np.float64(1)).shape == (8, 8, 3)
     assert default_sigma(Heightfield(flat, 0.1, 0.2)) == 1
     assert default_sigma(Heightfield(flat, 0.1, 2.0)) == 3
     with pytest.raises(ValueError, match="at least the larger pixel size, 2 µm; found 1 µm"):
