@@ -2,12 +2,11 @@
 
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from data_loaders.errors import DataError
 from data_loaders.files import HDF5_MAGIC, AnyPath, describe, read_head, system_errors
@@ -31,7 +30,7 @@ def read_heightfield(
     path: AnyPath,
     *,
     unit: str | None = None,
-    pixel: ArrayLike | None = None,
+    pixel: float | Sequence[float] | None = None,
     channel: str | int | None = None,
 ) -> Heightfield:
     """The height map in a file, in micrometres above its mean height; missing points are masked.
@@ -87,8 +86,7 @@ def _files_of(path: Path) -> list[Path]:
 def _read_numpy(path: AnyPath, unit: str, pixel) -> Heightfield:
     with system_errors(path):
         try:
-            content: Any = np.load(path, allow_pickle=False)
-            parts = {"z": content} if isinstance(content, np.ndarray) else dict(content)
+            parts = _arrays(path)
         except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
             raise DataError(path, "numpy arrays", f"the error “{error}”") from error
     if "z" not in parts:
@@ -96,6 +94,14 @@ def _read_numpy(path: AnyPath, unit: str, pixel) -> Heightfield:
     sizes = _sizes(path, pixel, parts)
     mask = np.asarray(parts["mask"], bool) if "mask" in parts else None
     return _heightfield(path, parts["z"], mask, sizes, _MICROMETRES[unit])
+
+
+def _arrays(path: AnyPath) -> dict[str, np.ndarray]:
+    content: Any = np.load(path, allow_pickle=False)
+    if isinstance(content, np.ndarray):
+        return {"z": content}
+    with content:
+        return dict(content)
 
 
 def _sizes(path: AnyPath, pixel, parts: Mapping[str, np.ndarray]) -> tuple[float, float]:

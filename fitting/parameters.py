@@ -74,9 +74,11 @@ def combinations(*axes: np.ndarray) -> np.ndarray:
 
 def value_at(r: Range, u):
     """The number at the share u of a range."""
-    return r.low * (r.high / r.low) ** u if r.log else r.low + (r.high - r.low) * u
+    low, high = r.low - r.pole, r.high - r.pole
+    return r.pole + low * (high / low) ** u if r.log else r.low + (r.high - r.low) * u
 
 
 def share_of(r: Range, value):
     """The share of a range at which a number lies: undoes `value_at`."""
-    return jnp.log(value / r.low) / np.log(r.high / r.low) if r.log else (value - r.low) / (r.high - r.low)
+    low, high = r.low - r.pole, r.high - r.pole
+    return jnp.log((value - r.pole) / low) / np.log(high / low) if r.log else (value - r.low) / (high - low)

@@ -25,11 +25,12 @@ Parameter = Float[Array, "..."]  # () or (C,): one value, or one for each channe
 
 @dataclass(frozen=True)
 class Range:
-    """Where a fit looks for a parameter: [low, high], evenly or evenly in the logarithm."""
+    """Where a fit looks for a parameter: [low, high], evenly, or evenly in log(parameter − pole)."""
 
     low: float
     high: float
     log: bool = False
+    pole: float = 0.0
 
 
 @dataclass(frozen=True)

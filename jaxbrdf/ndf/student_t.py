@@ -21,7 +21,10 @@ class StudentT(AbstractNDF):
     """
 
     alpha: Parameter = parameter(domain=POSITIVE, fitted=Range(1e-3, 3.0, log=True))
-    gamma: Parameter = parameter(domain=Domain(1.0, open=True), fitted=Range(1.51, 40.0, log=True))
+    gamma: Parameter = parameter(
+        domain=Domain(1.0, open=True),
+        fitted=Range(1.51, 40.0, log=True, pole=1.5),  # where σ is infinite
+    )
 
     @property
     def is_isotropic(self) -> bool:

@@ -35,7 +35,7 @@ def test_numpy_files(tmp_path):
     holes = Z.copy()
     holes[1, 2] = np.nan
     np.save(tmp_path / "map.npy", holes)
-    found = read_heightfield(tmp_path / "map.npy", unit="nm", pixel=(200, 300))
+    found = read_heightfield(tmp_path / "map.npy", unit="nm", pixel=(200.0, 300.0))
     assert (found.dx, found.dy) == (200, 300)  # a pixel is in µm whatever the heights are in
     np.testing.assert_array_equal(found.valid, np.isfinite(holes))
     np.testing.assert_allclose(np.diff(np.asarray(found.z)[0]), np.diff(Z[0]) / 1000)
