@@ -225,7 +225,7 @@ def plot(errors: Errors, path: Path) -> None:
     figure = Figure(figsize=(max(6, 0.14 * len(errors.materials) + 2.5), 5.5), dpi=110, layout="constrained")
     ax = figure.subplots()
     order = np.argsort(-errors("beckmann", "l2", "normalized_l2"), kind="stable")
-    for model, loss in shown:
+    for model, loss in (kind for kind in shown if kind in errors.kinds):
         ax.plot(
             errors(model, loss, "normalized_l2")[order],
             ".-",

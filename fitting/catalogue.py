@@ -6,6 +6,7 @@ from functools import lru_cache
 from types import MappingProxyType
 
 import equinox as eqx
+import numpy as np
 
 from fitting.factors import fit_factors
 from fitting.losses import Loss
@@ -20,7 +21,7 @@ from jaxbrdf.brdf.measured import MeasuredBRDF
 from jaxbrdf.brdf.microfacet import Microfacet
 from jaxbrdf.brdf.shifted_gamma import ShiftedGammaBRDF
 from jaxbrdf.brdf.ward import Ward
-from jaxbrdf.fit_result import FitResult
+from jaxbrdf.fit_result import FitResult, FitStatus
 from jaxbrdf.fresnel import Schlick
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.beckmann import Beckmann
@@ -72,7 +73,7 @@ class SecondLobe(AbstractEntry):
         return [self._with_second(first[i], one, loss) for i, one in enumerate(measured)]
 
     def _with_second(self, first: FitResult, measured: MeasuredBRDF, loss: str | Loss) -> FitResult:
-        if not first.success.all():
+        if np.any(np.asarray(first.status) > FitStatus.STEP_LIMIT):
             return first
         assert isinstance(first.model, ShiftedGammaBRDF)
         model = first.model.as_cook_torrance(first.model.ndf) + facets(TrowbridgeReitz(0.3))

@@ -87,6 +87,7 @@ from .shadowing import (
 )
 from .special import log_upper_gamma, upper_gamma
 from .surface.heightfield import Heightfield
+from .surface.kirchhoff import coherent_patches, kirchhoff_brdf, kirchhoff_ndf, resolved_angle
 from .surface.levelling import levelled, without_outliers
 from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
 from .surface.plane_fit import default_sigma
@@ -176,6 +177,7 @@ __all__ = [
     "as_samples",
     "as_table",
     "ashikhmin_material",
+    "coherent_patches",
     "compare",
     "default_sigma",
     "dot",
@@ -190,6 +192,8 @@ __all__ = [
     "half_vector",
     "hemisphere",
     "kappa_from_reflectance",
+    "kirchhoff_brdf",
+    "kirchhoff_ndf",
     "lab_difference",
     "largest_albedo",
     "levelled",
@@ -206,6 +210,7 @@ __all__ = [
     "reflect",
     "render",
     "resampling_error",
+    "resolved_angle",
     "sample_albedos",
     "smith_G1",
     "spherical",

@@ -39,6 +39,12 @@ def few_memory_maps():
         gc.collect()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def own_cache(tmp_path_factory):
+    """Commands that are tested leave nothing in the user's cache folder."""
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of measurements and published numbers beside the project; skips where it is absent."""

@@ -7,7 +7,7 @@ came of each. What a task makes of a file, and how that is shown, is the command
 import os
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -95,6 +95,22 @@ def run(paths: Sequence[Path], task: Task, console: Console, chunk: int = 8) -> 
                 progress.update(bar, completed=done, description=f"{task.verb} {_names(group)}")
                 for _ in _run_chunk(group, task, report):
                     progress.advance(bar)
+        except KeyboardInterrupt:
+            report.interrupted = True
+    return report
+
+
+def each(paths: Sequence[Path], work: Callable[[Path], Record], verb: str, console: Console) -> Report:
+    """Take files one by one through `work`, past those that fail; see `run` for `console` and interrupts."""
+    report: Report = Report()
+    with _progress(console) as progress:
+        bar = progress.add_task(verb, total=len(paths))
+        try:
+            for path in paths:
+                progress.update(bar, description=f"{verb} {path.stem}")
+                with report.noting_failure(path):
+                    report.records[path] = work(path)
+                progress.advance(bar)
         except KeyboardInterrupt:
             report.interrupted = True
     return report

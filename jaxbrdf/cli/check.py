@@ -28,7 +28,7 @@ from jaxbrdf.checks import (
     sample_pairs,
     sampling,
 )
-from jaxbrdf.cli import batch, report, sources
+from jaxbrdf.cli import batch, numerics, report, sources
 
 _SHOWN = (0, 30, 60, 80, 89)  # degrees of incidence in the table
 _EXACT = 1e-3  # of an albedo: what it exceeds 1 by may be the quadrature's
@@ -77,7 +77,7 @@ class CheckTask(batch.Task[list[Subject], list[dict[str, Any]], dict[str, Any]])
 def run(files: Sequence[Path], as_json: bool = False, plot: Path | None = None) -> int:
     """Check every file, show what was found on standard output, and return the exit status."""
     batch.writable_picture(plot, files)
-    jax.config.update("jax_enable_x64", True)
+    numerics.prepare()
     outcome = batch.run(files, CheckTask(), Console(stderr=True), chunk=1)
     documents = list(outcome.records.values())
     if as_json:

@@ -18,7 +18,7 @@ from rich.text import Text
 from data_loaders.files import replacing
 from fitting import LOSSES, catalogue
 from jaxbrdf import AbstractBRDF, Comparison, FitResult, FitStatus, MeasuredBRDF
-from jaxbrdf.cli import batch, comparison_pictures, report, sources
+from jaxbrdf.cli import batch, comparison_pictures, numerics, report, sources
 from jaxbrdf.cli.fit import table_to_fit
 from jaxbrdf.preview import Appearance
 
@@ -104,7 +104,7 @@ def run(
 ) -> int:
     """Compare models on every file, show the table on standard output, and return the exit status."""
     _refuse_nonsense(files, models, loss, out)
-    jax.config.update("jax_enable_x64", True)
+    numerics.prepare()
     task = CompareTask(tuple(models), loss, out, force)
     outcome = batch.run(files, task, Console(stderr=True), chunk=4)
     documents = [outcome.records[path] for path in files if path in outcome.records]

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from data_loaders import read_brdf, to_rgb, write_brdf
 from jaxbrdf import resampling_error
-from jaxbrdf.cli import batch, report, sources
+from jaxbrdf.cli import batch, numerics, report, sources
 from jaxbrdf.resampling import Reflectance
 
 _ROWS = 4  # channels that are shown one by one
@@ -59,7 +59,7 @@ class ConvertTask(batch.Task[Reflectance, Reflectance, dict[str, Any]]):
 def run(source: Path, target: Path, rgb: bool = False, force: bool = False, as_json: bool = False) -> int:
     """Convert, show what became of it, and return the exit status."""
     _refuse_nonsense(source, target, force)
-    jax.config.update("jax_enable_x64", True)
+    numerics.prepare()
     outcome = batch.run([source], ConvertTask(target, rgb), Console(stderr=True))
     documents = list(outcome.records.values())
     if as_json:

@@ -3,13 +3,12 @@
 import tempfile
 from pathlib import Path
 
-import jax
 import numpy as np
 from rich.console import Console
 
 from data_loaders import published, write_merl
 from jaxbrdf import MeasuredBRDF, merl_grid
-from jaxbrdf.cli import fit, report
+from jaxbrdf.cli import fit, numerics, report
 from jaxbrdf.metrics import tabulate
 
 NOTE = "stand-in made from the ABC model parameters published by Löw et al. 2012; not a measurement"
@@ -19,7 +18,7 @@ MATERIALS = ("nickel", "red-plastic", "blue-rubber")  # a metal, a plastic, some
 
 def run(out: Path) -> int:
     """Fit the stand-ins into the folder `out`, say what they are and what to try next; the exit status."""
-    jax.config.update("jax_enable_x64", True)
+    numerics.prepare()
     console = Console(stderr=True)
     report.say(console, f"{len(MATERIALS)} materials, each a {NOTE}", style="bold")
     with tempfile.TemporaryDirectory() as folder:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import jax
 import numpy as np
 from rich.console import Console
 
@@ -20,7 +19,7 @@ from jaxbrdf import (
     as_table,
     compare,
 )
-from jaxbrdf.cli import batch, pictures, report, sources
+from jaxbrdf.cli import batch, numerics, pictures, report, sources
 from jaxbrdf.resampling import Reflectance
 
 Fit = Callable[[Sequence[MeasuredBRDF], str], FitResult]  # a list of materials and a recipe to one batch
@@ -110,7 +109,7 @@ class FitTask(batch.Task[MeasuredBRDF, FitResult, Fitted]):
 def run(files: Sequence[Path], task: FitTask, as_json: bool = False) -> int:
     """Fit every file, show what came of it on standard output, and return the exit status."""
     _refuse_nonsense(files, task)
-    jax.config.update("jax_enable_x64", True)
+    numerics.prepare()
     outcome = batch.run(files, task, Console(stderr=True))
     fits = {path: outcome.records[path] for path in files if path in outcome.records}
     if as_json:

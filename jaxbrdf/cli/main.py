@@ -273,6 +273,77 @@ def show(
 
 
 @app.command()
+def ndf(
+    scans: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SCANS", help="Height maps of profilometers, or folders of them: one data set."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE.h5", help="The table; its picture beside it.")
+    ],
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="METHOD",
+            help="**filtered**: normals of planes fitted around each point; **facet**: those of the facets; "
+            "**kirchhoff**: diffraction at --wavelength.",
+        ),
+    ] = "filtered",
+    sigma: Annotated[
+        float | None,
+        typer.Option(metavar="UM", help="Radius of the filter, µm. [default: 1, or 1.5 pixels if more]"),
+    ] = None,
+    wavelength: Annotated[
+        float, typer.Option(metavar="UM", help="Effective wavelength of kirchhoff, µm.")
+    ] = 0.555,
+    patch: Annotated[
+        float | None,
+        typer.Option(metavar="UM", help="Side of the patches in which light is coherent, µm. [default: 70]"),
+    ] = None,
+    level: Annotated[
+        str,
+        typer.Option(metavar="FORM", help="Form taken off each scan: **none**, **plane** or **quadratic**."),
+    ] = "plane",
+    reject_outliers: Annotated[
+        bool, typer.Option("--reject-outliers", help="Mask spikes out before anything else.")
+    ] = False,
+    size: Annotated[int, typer.Option(metavar="N", help="Cells of the table along the disk, odd.")] = 1025,
+    unit: Annotated[
+        str | None,
+        typer.Option(metavar="UNIT", help="Unit of heights where a file does not say it: um, nm, …."),
+    ] = None,
+    pixel: Annotated[
+        float | None, typer.Option(metavar="UM", help="Pixel size where a file does not say it, µm.")
+    ] = None,
+    picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw FILE.png.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE.h5 if it is there.")] = False,
+    json: Json = False,
+) -> None:
+    """Estimate the distribution of normals of measured height maps.
+
+    All scans together make one table of D over the unit disk, in 1/sr, written as HDF5. An ellipsoid, GGX and
+    Beckmann are fitted to it; the picture has the disk and slices across and along. Files that cannot be read
+    are reported, and the others go on; after an interrupt nothing is written.
+
+    **Examples**
+
+    jaxbrdf ndf land.x3p --out land.h5
+
+    jaxbrdf ndf steel/ --method kirchhoff --wavelength 0.555 --out steel.h5
+
+    jaxbrdf ndf wafer.opd --level quadratic --reject-outliers --out wafer.h5 --json
+    """
+    from jaxbrdf.cli.ndf import Options, run
+
+    options = Options(
+        method, sigma, wavelength, patch, level, not reject_outliers, size, unit=unit, pixel=pixel
+    )
+    _exit_with(lambda: run(scans, out, options, as_json=json, picture=picture, force=force))
+
+
+@app.command()
 def demo(out: Out = Path("jaxbrdf-demo")) -> None:
     """Fit three stand-in materials, to see what `jaxbrdf fit` does without a measurement at hand.
 

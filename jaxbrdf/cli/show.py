@@ -5,7 +5,6 @@ from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
 
-import jax
 import numpy as np
 from matplotlib.figure import Figure
 from rich import box
@@ -23,7 +22,7 @@ from jaxbrdf import (
     sample_albedos,
     spherical,
 )
-from jaxbrdf.cli import batch, factors, portrait, report, sources
+from jaxbrdf.cli import batch, factors, numerics, portrait, report, sources
 from jaxbrdf.energy import albedo_by_quadrature
 from jaxbrdf.resampling import Reflectance
 
@@ -90,7 +89,7 @@ def run(
     batch.writable_picture(plot, files)
     if plot is not None and len(files) > 1:
         raise batch.Refused(f"--plot {plot}: a picture shows one file; there are {len(files)}")
-    jax.config.update("jax_enable_x64", True)
+    numerics.prepare()
     outcome = batch.run(files, _task(plot, with_factors), Console(stderr=True), chunk=1)
     if as_json:
         failed = [{"name": p.stem, "source": str(p), "error": text} for p, text in outcome.errors.items()]

@@ -55,18 +55,39 @@ def filtered_normals(heightfield: Heightfield, sigma: float | None = None) -> Fl
 Cells = Callable[[Heightfield, int], Int[np.ndarray, "..."]]
 
 
-def mean_ndf(heightfields: Iterable[Heightfield], cells: Cells, size: int = _SIZE) -> TabulatedNDF:
-    """The distribution of many maps, one after another in the memory of one: each point counts the same.
+class NormalCounts:
+    """How many normals fell into each cell of a table of `size` × `size`, over any number of maps.
 
-    `cells` is `facet_cells` or `filtered_cells`. Raises ValueError where there is nothing to count.
+    Only the counts are kept; every point of every map counts the same. `cells` is `facet_cells` or
+    `filtered_cells`, or a `functools.partial` of it.
     """
-    counts = np.zeros(size * size + 1, np.int64)
+
+    def __init__(self, cells: Cells, size: int = _SIZE):
+        self._cells, self._size = cells, size
+        self._counts = np.zeros(size * size, np.int64)
+
+    def add(self, heightfield: Heightfield) -> int:
+        """Counts the normals of one more map; returns how many there were."""
+        cells = np.ravel(self._cells(heightfield, self._size))
+        counts = np.bincount(cells, minlength=self._size**2 + 1)[:-1]
+        self._counts += counts
+        return int(counts.sum())
+
+    def ndf(self) -> TabulatedNDF:
+        """The distribution. Raises ValueError where nothing was counted."""
+        total = self._counts.sum()
+        if not total:
+            raise ValueError("no normal is known: too few heights were measured next to one another")
+        density = self._counts / (total * (2 / self._size) ** 2)
+        return TabulatedNDF(density.reshape(self._size, self._size))
+
+
+def mean_ndf(heightfields: Iterable[Heightfield], cells: Cells, size: int = _SIZE) -> TabulatedNDF:
+    """The distribution of many maps, one after another in the memory of one; see `NormalCounts`."""
+    counts = NormalCounts(cells, size)
     for heightfield in heightfields:
-        counts += np.bincount(np.ravel(cells(heightfield, size)), minlength=size * size + 1)
-    total = counts[:-1].sum()
-    if not total:
-        raise ValueError("no normal is known: too few heights were measured next to one another")
-    return TabulatedNDF((counts[:-1] / (total * (2 / size) ** 2)).reshape(size, size))
+        counts.add(heightfield)
+    return counts.ndf()
 
 
 def facet_cells(heightfield: Heightfield, size: int) -> Int[np.ndarray, " n"]:

@@ -1,0 +1,83 @@
+"""Pictures of a tabulated distribution of normals: the disk in colour, and slices with fits drawn over."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from jaxbrdf import FitResult, TabulatedNDF, spherical
+from jaxbrdf.ndf.base import AbstractNDF
+from jaxbrdf.ndf.tabulated import disk_cells
+
+_SHARE = 0.995  # of the normals that are in the picture
+_SMOOTH = 1.5  # cells by which slices are smoothed: a histogram's cells hold few normals each
+
+
+def overview(ndf: TabulatedNDF, fits: Mapping[str, FitResult], title: str) -> Figure:
+    """The disk, and slices across and along the direction in which normals spread least."""
+    figure = Figure(figsize=(13, 4.2), dpi=110, layout="constrained")
+    disk, across, along = figure.subplots(1, 3)
+    values = np.asarray(ndf.values)
+    radius, azimuth = _extent(values)
+    _draw_disk(figure, disk, values, radius)
+    peak = gaussian_filter(values, _SMOOTH).max()
+    for ax, name, angle in ((across, "across", azimuth), (along, "along", azimuth + np.pi / 2)):
+        _draw_slice(ax, values, fits, angle, min(1.0, 1.3 * radius))
+        ax.set(title=f"{name}: azimuth {np.rad2deg(angle) % 180:.0f}°", ylim=(1e-4 * peak, 2 * peak))
+    across.set_ylabel("D, 1/sr")
+    along.legend(frameon=False, fontsize=8)
+    figure.suptitle(title)
+    return figure
+
+
+def _extent(values: np.ndarray) -> tuple[float, float]:
+    """The radius in the disk within which almost all normals are, and the azimuth along which they spread
+    most: light is then spread across what lies along, grooves for instance."""
+    m_x, m_y, m_z = disk_cells(len(values))
+    weight = np.where(m_z > 0, values, 0)
+    order = np.argsort(np.hypot(m_x, m_y), axis=None)
+    inside = np.cumsum(weight.ravel()[order]) <= _SHARE * weight.sum()
+    radius = np.hypot(m_x, m_y).ravel()[order][np.sum(inside) - 1]
+    x, y = m_x - np.average(m_x, weights=weight), m_y - np.average(m_y, weights=weight)
+    xx, xy, yy = (np.sum(weight * a) for a in (x * x, x * y, y * y))
+    return float(np.clip(radius, 4 / len(values), 1)), float(np.arctan2(2 * xy, xx - yy) / 2)
+
+
+def _draw_disk(figure: Figure, ax: Axes, values: np.ndarray, radius: float) -> None:
+    image = ax.imshow(
+        values,
+        origin="lower",
+        extent=(-1, 1, -1, 1),
+        cmap="inferno",
+        norm=PowerNorm(0.4),
+        interpolation="antialiased",
+    )
+    turn = np.linspace(0, 2 * np.pi, 200)
+    ax.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
+    ax.set(xlim=(-radius, radius), ylim=(-radius, radius), xlabel="m_x", ylabel="m_y", aspect="equal")
+    ax.locator_params(nbins=5)
+    figure.colorbar(image, ax=ax, label="D, 1/sr", shrink=0.85)
+
+
+def _draw_slice(
+    ax: Axes, values: np.ndarray, fits: Mapping[str, FitResult], azimuth: float, reach: float
+) -> None:
+    """D against the polar angle, on both sides of the normal."""
+    limit = np.arcsin(min(reach, 0.999))
+    theta = np.linspace(-limit, limit, 401)
+    m = np.array(spherical(np.abs(theta), np.where(theta < 0, azimuth + np.pi, azimuth)))
+    n = len(values)
+    rows, columns = ((m[:, k] + 1) * n / 2 - 0.5 for k in (1, 0))
+    smooth = gaussian_filter(values, _SMOOTH)
+    data = map_coordinates(smooth, [rows, columns], order=1, mode="nearest")
+    ax.semilogy(
+        np.rad2deg(theta), np.where(data > 0, data, np.nan), color="0.55", linewidth=2.5, label="measured"
+    )
+    for (name, fit), style in zip(fits.items(), ("-", "--", ":"), strict=False):
+        if fit.success and isinstance(fit.model, AbstractNDF):
+            ax.semilogy(np.rad2deg(theta), fit.model(m), style, linewidth=1.2, label=name)
+    ax.set(xlabel="θ, degrees", xlim=(-np.rad2deg(limit), np.rad2deg(limit)))
+    ax.grid(color="0.93")
