@@ -34,6 +34,13 @@ def test_any_model_is_fitted_to_samples(examples, tmp_path):
     np.testing.assert_allclose(numbers, [0.2, 0.7, 0.1, 0.3, 0.04], rtol=1e-3)
 
 
+def test_a_height_map_becomes_an_ellipsoid(examples, tmp_path):
+    """A Gaussian filter of σ widens τ² by 4σ² along both axes: α_y/α_x is √((400 + 4) / (16 + 4))."""
+    status, alpha_x, alpha_y = numbers_printed_by(examples[2], tmp_path)
+    assert status == 0
+    assert alpha_y / alpha_x == pytest.approx(np.sqrt(404 / 20), rel=0.1)
+
+
 def test_the_new_distribution_shadows_as_brute_force_says(examples, tmp_path):
     def logistic(m, alpha=0.3):
         above = m[..., 2] > 1e-9
@@ -42,8 +49,8 @@ def test_the_new_distribution_shadows_as_brute_force_says(examples, tmp_path):
         return np.where(above, 1 / (2 * np.pi * alpha**2 * np.cosh(y / 2) ** 2 * cos**4), 0)
 
     masks = [w[2] / references.projected_area(logistic, w) for w in references.direction([1.2, 0.5], 0.0)]
-    np.testing.assert_allclose(numbers_printed_by(examples[2], tmp_path), [masks[0] * masks[1]], rtol=2e-6)
+    np.testing.assert_allclose(numbers_printed_by(examples[3], tmp_path), [masks[0] * masks[1]], rtol=2e-6)
 
 
 def test_these_are_all_examples(examples):
-    assert len(examples) == 3
+    assert len(examples) == 4
