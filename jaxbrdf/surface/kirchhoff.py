@@ -2,8 +2,8 @@ r"""The Kirchhoff distribution D_K of a height map: its normals as light of one 
 
     D_K(q) = |F(q)|² / (4π² A),   F(q) = ∫ (q·m) e^{−i q·s} ds,   q = 4π h / λ_q
 
-Dong, Walter, Marschner & Greenberg 2015, eq. 6, with λ_q = λ / cos θ_d. A map is made of squares between four
-neighbouring points, each of which counts by its midpoint: the mean z of the corners, and the slopes z_x, z_y
+Dong, Walter, Marschner & Greenberg 2015, eq. 6, with λ_q = λ / cos θ_d. A map is made of the squares between
+neighbouring points, each of which counts by its midpoint: the mean z of its corners and the slopes z_x, z_y
 of the plane through them, so that (q·m) ds = (q_z − q_x z_x − q_y z_y) dx dy. Every measured point counts and
 none is invented at the border; where a facet mirrors the light, which is where F comes from, its phase is the
 same all over, and the midpoint exact.
@@ -15,7 +15,7 @@ two matrix products.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from scipy.special import jv
 from jaxbrdf.brdf.kirchhoff import KirchhoffBRDF
 from jaxbrdf.fresnel import AbstractFresnel
 from jaxbrdf.ndf.tabulated import TabulatedNDF
+from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
 from jaxbrdf.surface.heightfield import Heightfield
 
 COHERENT_PATCH = 70.0  # µm: Dong et al. 2015, appendix A, near the coherence area of sunlight
@@ -45,32 +46,36 @@ def kirchhoff_ndf(
 ) -> TabulatedNDF:
     r"""D_K of a height map at the effective wavelength λ_q, a table of size × size cells, 1/sr.
 
-    The values are those of the formula at the centres of the cells, in the precision of the heights; nothing
-    is levelled and nothing renormalised: Σ D dA is near 1 for a rough surface whose facets lie in the table.
-    It reaches to `max_angle` (radians) from the normal and is 0 beyond: by default over the whole disk, or as
-    far as the pixels resolve it, `resolved_angle`.
+    The values are those of the formula at the cells' centres, in the precision of the heights: float32 gives
+    |F| to 1e-6 of its largest value. Nothing is levelled and nothing renormalised: Σ D dA is near 1 for a
+    rough surface whose facets lie in the table. That reaches to `max_angle` (radians) from the normal and is
+    0 beyond: by default over the whole disk, or as far as the pixels resolve it, `resolved_angle`.
 
     Light is coherent within a `patch`: a larger map is cut, see `coherent_patches`, and D_K is the mean of
-    the patches', weighted by area; 70 µm unless said otherwise, math.inf for one patch. Speckle of a patch L
-    wide is λ_q / (2L) wide on the disk: finer than a cell where L > size · λ_q / 4. Squares with a missing
-    corner are left out.
+    its patches', weighted by area; 70 µm unless said otherwise, math.inf for one patch. The speckle of a
+    patch L wide is λ_q / (2L) wide on the disk: finer than a cell where L > size · λ_q / 4. Squares with a
+    missing corner are left out.
 
     Differentiable in the heights. Inside jit, where heights are not known, give `relief`: those of one patch
     differ by no more. `progress` is called after each patch, outside jit. Lengths are in micrometres. Raises
-    ValueError for a wavelength that is not positive, that is below the pixel size or that does not resolve
-    `max_angle`, and for a map without four measured neighbours. Dong et al. 2015, eq. 6 and appendix A.
+    ValueError for a wavelength that is not positive, is below the pixel size or does not resolve `max_angle`,
+    and for a map without four measured neighbours. Dong et al. 2015, eq. 6 and appendix A.
     """
+    if size < 1:
+        raise ValueError(f"size must be at least 1; found {size}")
     angle = _reach(heightfield, wavelength, max_angle)
     parts = coherent_patches(heightfield, COHERENT_PATCH if patch is None else patch)
-    pieces = [_squares(part) for part in parts]
-    depth = _depth(pieces) if relief is None else relief / 2
+    depth = max(map(_depth, parts)) if relief is None else relief / 2
     plan = _plan(parts[0], wavelength, size, angle, depth)
     power, area = jnp.zeros_like(plan.t), jnp.zeros((), plan.t.dtype)
-    for done, squares in enumerate(pieces, 1):
+    for done, part in enumerate(parts, 1):
+        squares = _squares(part)
         power, area = power + _power(squares, plan), area + jnp.sum(squares.area)
         if progress is not None:
             jax.block_until_ready(power)
-            progress(done, len(pieces))
+            progress(done, len(parts))
+    if not isinstance(area, jax.core.Tracer) and area == 0:
+        raise ValueError("kirchhoff_ndf: nowhere were four neighbouring points measured; fill some holes")
     D = jnp.where(plan.inside, power / (4 * math.pi**2 * area), 0)
     return TabulatedNDF(jnp.pad(D.T, (size - len(D)) // 2))
 
@@ -81,22 +86,23 @@ def kirchhoff_brdf(
     fresnel: AbstractFresnel,
     tables: int = 3,
     max_difference: float = math.pi / 3,
-    **options,
+    shadowing: AbstractShadowing = Uncorrelated(),  # noqa: B008
+    **options: Any,
 ) -> KirchhoffBRDF:
     r"""The reflectance of a height map by Kirchhoff's theory, at `wavelengths` (µm), () or one a channel.
 
     D_K is tabulated at `tables` effective wavelengths λ_q = λ / cos θ_d, evenly in 1/λ_q, from that of the
-    shortest wavelength at θ_d = 0 to that of the longest at `max_difference`; beyond, the nearest one counts.
+    shortest wavelength at θ_d = 0 to that of the longest at `max_difference`; beyond, the last table counts.
     It hardly changes with λ_q (Dong et al. 2015, figure 6), so few will do. `options` are those of
     `kirchhoff_ndf`. Raises ValueError as that does.
     """
     λ = np.asarray(wavelengths, float)
+    resolved_angle(heightfield, float(λ.min()))  # refuses what is not positive
     wavenumbers = np.linspace(1 / λ.min(), math.cos(max_difference) / λ.max(), tables)
     values = [kirchhoff_ndf(heightfield, float(1 / k), **options).values for k in wavenumbers]
     dtype = heightfield.z.dtype
-    return KirchhoffBRDF(
-        jnp.stack(values), jnp.asarray(1 / wavenumbers, dtype), jnp.asarray(λ, dtype), fresnel
-    )
+    λ_q, channels = (jnp.asarray(a, dtype) for a in (1 / wavenumbers, λ))
+    return KirchhoffBRDF(jnp.stack(values), λ_q, channels, fresnel, shadowing)
 
 
 def resolved_angle(heightfield: Heightfield, wavelength: float) -> float:
@@ -122,8 +128,8 @@ def coherent_patches(heightfield: Heightfield, size: float) -> list[Heightfield]
         raise ValueError(f"patch must be at least one pixel, {pixel:g} µm; found {size}")
     ny, nx = heightfield.z.shape
     rows, columns = _windows(ny, size / heightfield.dy), _windows(nx, size / heightfield.dx)
-    whole = [_window(heightfield, row, column) for row in rows for column in columns]
-    return [Heightfield(z, heightfield.dx, heightfield.dy, mask) for z, mask in whole if _measured(mask)]
+    pieces = [_cut(heightfield, row, column) for row in rows for column in columns]
+    return [piece for piece in pieces if piece is not None]
 
 
 def _windows(points: int, length: float) -> list[slice]:
@@ -134,13 +140,14 @@ def _windows(points: int, length: float) -> list[slice]:
     return [slice(start, start + pixels + 1) for start in starts.tolist()]
 
 
-def _window(heightfield: Heightfield, row: slice, column: slice) -> tuple[Array, Array | None]:
-    mask = heightfield.mask
-    return heightfield.z[row, column], None if mask is None else mask[row, column]
-
-
-def _measured(mask: Array | None) -> bool:
-    return mask is None or isinstance(mask, jax.core.Tracer) or bool(jnp.any(mask))
+def _cut(heightfield: Heightfield, row: slice, column: slice) -> Heightfield | None:
+    """A part of the map; None where it is known to hold no measured height."""
+    mask: Any = heightfield.mask
+    if mask is not None:
+        mask = mask[row, column] if isinstance(mask, jax.core.Tracer) else np.asarray(mask)[row, column]
+    if isinstance(mask, np.ndarray) and not mask.any():
+        return None
+    return Heightfield(heightfield.z[row, column], heightfield.dx, heightfield.dy, mask)
 
 
 def _reach(heightfield: Heightfield, wavelength: float, max_angle: float | None) -> float:
@@ -149,9 +156,9 @@ def _reach(heightfield: Heightfield, wavelength: float, max_angle: float | None)
     if max_angle is None:
         if wavelength < pixel:
             raise ValueError(
-                f"a wavelength of {wavelength:g} µm is below the pixel size: with pixels of {pixel:g} µm it "
-                f"must be at least {pixel:g} µm, and {4 * pixel:g} µm for the whole disk. Choose a longer "
-                f"one, or a max_angle of at most {resolved:.3g} radians"
+                f"a wavelength of {wavelength:g} µm is below the pixel size: pixels of {pixel:g} µm need at "
+                f"least {pixel:g} µm, and {4 * pixel:g} µm for the whole disk. Choose a longer one, or a "
+                f"max_angle of at most {resolved:.3g} radians"
             )
         return resolved
     if not 0 < max_angle <= math.pi / 2:
@@ -159,8 +166,8 @@ def _reach(heightfield: Heightfield, wavelength: float, max_angle: float | None)
     if max_angle > resolved * (1 + 1e-9):
         raise ValueError(
             f"pixels of {pixel:g} µm resolve a wavelength of {wavelength:g} µm to {resolved:.3g} radians "
-            f"from the normal only; max_angle is {max_angle:.3g}. Choose a smaller one, or a wavelength of "
-            f"at least {4 * pixel * math.sin(max_angle):g} µm"
+            f"from the normal; max_angle is {max_angle:.3g}. Choose a smaller one, or a wavelength of at "
+            f"least {4 * pixel * math.sin(max_angle):g} µm"
         )
     return max_angle
 
@@ -174,6 +181,7 @@ class _Squares(NamedTuple):
     z_y: Float[Array, "ny nx"]
 
 
+@jax.jit
 def _squares(heightfield: Heightfield) -> _Squares:
     z, dx, dy, valid = heightfield.heights, heightfield.dx, heightfield.dy, heightfield.valid
     complete = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
@@ -192,58 +200,54 @@ def _halfway(z: Float[Array, "ny nx"], valid: Bool[Array, "ny nx"]) -> Float[Arr
     return jax.lax.stop_gradient(jnp.where(lowest <= highest, (lowest + highest) / 2, 0))
 
 
-def _depth(pieces: list[_Squares]) -> float:
-    """The largest |z|. Raises ValueError where there is no square, or where heights are not known."""
-    z, area = (jax.lax.stop_gradient([getattr(p, name) for p in pieces]) for name in ("z", "area"))
-    if any(isinstance(a, jax.core.Tracer) for a in (*z, *area)):
+def _depth(heightfield: Heightfield) -> float:
+    """The largest |z| of the squares. Raises ValueError where heights are not known."""
+    z = jnp.max(jnp.abs(_squares(jax.lax.stop_gradient(heightfield)).z))
+    if isinstance(z, jax.core.Tracer):
         raise ValueError(
             "kirchhoff_ndf: inside jit or vmap heights are not known: give relief, the largest difference of "
             "heights within a patch, in micrometres"
         )
-    if not any(np.any(a) for a in area):
-        raise ValueError(
-            "kirchhoff_ndf: nowhere were four neighbouring points measured; fill in some of them"
-        )
-    return max(float(jnp.max(jnp.abs(a))) for a in z)
+    return float(z)
 
 
 class _Axis(NamedTuple):
-    """What the Fourier transform along x, or y, needs: for half the squares and half the directions."""
+    """What the transform along x, or y, needs: all directions q, and half of them by half of the squares."""
 
-    q: Float[Array | np.ndarray, " k"]  # all of them
-    cos: Float[Array | np.ndarray, "half_n half_k"]
-    sin: Float[Array | np.ndarray, "half_n half_k"]
+    q: Float[Array, " k"]
+    cos: Float[Array, "half_n half_k"]
+    sin: Float[Array, "half_n half_k"]
 
 
 class _Plan(NamedTuple):
-    """All that does not depend on the heights. t ∈ [−1, 1] stands for q_z from its least to its largest."""
+    """All that does not depend on the heights; t runs over [−1, 1] as q_z does from its least to q."""
 
     x: _Axis
     y: _Axis
     t: Float[Array, "k k"]
-    node_t: Float[Array, " K"]
-    node_q: Float[Array, " K"]
-    node_weight: Float[Array, " K"]
     inside: Bool[Array, "k k"]
+    nodes: tuple[Float[Array, " K"], Float[Array, " K"], Float[Array, " K"]]  # t, q_z, weight
 
 
 def _plan(heightfield: Heightfield, wavelength: float, size: int, angle: float, depth: float) -> _Plan:
-    """See the module: directions on a square grid, K Chebyshev nodes of the first kind for q_z."""
-    q = 4 * math.pi / wavelength
+    """The square of cells around all within the angle, and Chebyshev nodes of the first kind for q_z."""
+    q, dtype, (ny, nx) = 4 * math.pi / wavelength, heightfield.z.dtype, heightfield.z.shape
     centre = (2 * np.arange(size) + 1) / size - 1
-    m = centre[np.abs(centre) <= math.sin(angle)]
-    cos2 = 1 - m[:, None] ** 2 - m[None, :] ** 2
-    inside = cos2 >= max(math.cos(angle) ** 2 - 1e-12, 0)
+    m = centre[np.abs(centre) <= math.sin(angle) + 1e-12]
+    sin2 = m[:, None] ** 2 + m[None, :] ** 2
+    inside = sin2 <= math.sin(angle) ** 2 + 1e-12
     middle, half = (1 + math.cos(angle)) / 2, (1 - math.cos(angle)) / 2
-    t = np.where(inside, (np.sqrt(np.maximum(cos2, 0)) - middle) / half, -1)
-    K = np.arange(_node_count(q * half * depth, heightfield.z.dtype))
-    turn = np.pi * (K + 0.5) / len(K)
-    nodes = np.cos(turn), q * (middle + half * np.cos(turn)), np.sin(turn) * (-1.0) ** K  # t, q_z, weight
-    ny, nx = heightfield.z.shape
-    axes = _axis(q * m, nx - 1, heightfield.dx), _axis(q * m, ny - 1, heightfield.dy)
-    x, y, *others = jax.tree.map(lambda a: jnp.asarray(a, heightfield.z.dtype), (*axes, t, *nodes))
-    t, node_t, node_q, node_weight = others
-    return _Plan(x, y, t, node_t, node_q, node_weight, jnp.asarray(inside))
+    t = np.where(inside, (np.sqrt(np.maximum(1 - sin2, 0)) - middle) / half, -1)
+    k = np.arange(_node_count(q * half * depth, dtype))
+    turn = np.pi * (k + 0.5) / len(k)
+    nodes = np.cos(turn), q * (middle + half * np.cos(turn)), np.sin(turn) * (-1.0) ** k
+    return _Plan(
+        _axis(q * m, nx - 1, heightfield.dx, dtype),
+        _axis(q * m, ny - 1, heightfield.dy, dtype),
+        jnp.asarray(t, dtype),
+        jnp.asarray(inside),
+        jax.tree.map(lambda node: jnp.asarray(node, dtype), nodes),
+    )
 
 
 def _node_count(x: float, dtype: np.dtype) -> int:
@@ -257,16 +261,19 @@ def _node_count(x: float, dtype: np.dtype) -> int:
     return 4 * math.ceil(count / 4)
 
 
-def _axis(q: np.ndarray, squares: int, step: float) -> _Axis:
-    """Cosines and sines of q x for q ≥ 0 and the upper half of x, which are measured from their middle."""
+def _axis(q: np.ndarray, squares: int, step: float, dtype: np.dtype) -> _Axis:
+    """For q ≥ 0 and the upper half of the squares, whose midpoints are measured from the middle of all."""
     half = (squares + 1) // 2
     phase = np.outer((np.arange(half) + 0.5) * step, q[len(q) // 2 :])
-    return _Axis(q, np.cos(phase), np.sin(phase))
+    return _Axis(*(jnp.asarray(a, dtype) for a in (q, np.cos(phase), np.sin(phase))))
 
 
 @jax.jit
 def _power(squares: _Squares, plan: _Plan) -> Float[Array, "k k"]:
-    """|F|² at [x, y]: F = Σ_k s_k F(q_z,k) / Σ_k s_k, s_k = w_k / (t − t_k): Berrut & Trefethen 2004, 4.2."""
+    """|F|² at [x, y]: F = Σ_k s_k F(q_z,k) / Σ_k s_k with s_k = w_k / (t − t_k).
+
+    Berrut & Trefethen 2004, eq. 4.2.
+    """
 
     def shares(t, weight):
         gap = plan.t - t
@@ -281,8 +288,7 @@ def _power(squares: _Squares, plan: _Plan) -> Float[Array, "k k"]:
         return (sums[0] + term(squares, t, q_z, weight), sums[1] + shares(t, weight)), None
 
     zero = jnp.zeros_like(plan.t)
-    nodes = plan.node_t, plan.node_q, plan.node_weight
-    (F, total), _ = jax.lax.scan(add, (jax.lax.complex(zero, zero), zero), nodes)
+    (F, total), _ = jax.lax.scan(add, (jax.lax.complex(zero, zero), zero), plan.nodes)
     F = F / total
     return F.real**2 + F.imag**2
 
@@ -298,16 +304,17 @@ def _transform(squares: _Squares, plan: _Plan, q_z: Float[Array, ""]) -> Complex
 
 
 def _fourier(c: Complex[Array, "f rows n"], axis: _Axis) -> Complex[Array, "f rows k"]:
-    """Σ_j c_j e^{−i q x_j} over the last axis. The even part of c meets the cosines, the odd one the sines,
-    and q and −q share them: a quarter of the arithmetic of the complex matrix."""
+    """Σ_j c_j e^{−i q x_j} over the last axis.
+
+    The even part of c meets the cosines and the odd one the sines, and q and −q share both: a quarter of the
+    arithmetic of a complex matrix.
+    """
     n, k = c.shape[-1] // 2, len(axis.q) // 2
     lower, upper = c[..., n - 1 :: -1], c[..., n:]
     even, odd = _product(upper + lower, axis.cos), -1j * _product(upper - lower, axis.sin)
     return jnp.concatenate([(even - odd)[..., : -k - 1 : -1], even + odd], axis=-1)
 
 
-def _product(
-    c: Complex[Array, "f rows n"], matrix: Float[Array | np.ndarray, "n k"]
-) -> Complex[Array, "f rows k"]:
-    """c @ matrix without making the matrix complex."""
-    return jax.lax.complex(c.real @ matrix, c.imag @ matrix)
+def _product(c: Complex[Array, "f rows n"], matrix: Float[Array, "n k"]) -> Complex[Array, "f rows k"]:
+    """c @ matrix without making the matrix complex; in full precision on all devices."""
+    return jax.lax.complex(*(jnp.matmul(part, matrix, precision="highest") for part in (c.real, c.imag)))
