@@ -92,6 +92,7 @@ from .surface.levelling import levelled, without_outliers
 from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
 from .surface.plane_fit import default_sigma
 from .surface.random_surface import gaussian_surface
+from .surface.visibility import virtual_goniometer, visibility, visible_facets
 
 __all__ = [
     "ABC",
@@ -220,5 +221,8 @@ __all__ = [
     "to_half_difference",
     "to_spherical",
     "upper_gamma",
+    "virtual_goniometer",
+    "visibility",
+    "visible_facets",
     "without_outliers",
 ]
