@@ -1,9 +1,9 @@
 r"""A record as an HDF5 file: models, measurements, fits, bit for bit, and where they come from.
 
 A model is a group with its class in the attribute "class"; its arrays are datasets, its tuples groups with
-the attribute "length" and members numbered from 0, its texts attributes. Classes are looked up by name among
-the public names of jaxbrdf; nothing else in a file can name code. The file's own attributes say its format
-and its provenance.
+the attribute "length" and members numbered from 0, its texts and plain numbers attributes. Classes are looked
+up by name among the public names of jaxbrdf; nothing else in a file can name code. The file's own attributes
+say its format and its provenance.
 
 Damage is noticed: HDF5 of this version checks its own structure, and each array has a CRC-32 beside it.
 """
@@ -11,8 +11,9 @@ Damage is noticed: HDF5 of this version checks its own structure, and each array
 import dataclasses
 import inspect
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import NamedTuple
 
 import equinox as eqx
@@ -37,16 +38,23 @@ class Kind(NamedTuple):
     group: str
 
 
-def write_record(path: AnyPath, kind: Kind, record: eqx.Module, source: Source = None) -> None:
-    """Writes a record whole; `read_record` gives it back bit for bit. `source` names the measured files.
+def write_record(
+    path: AnyPath,
+    kind: Kind,
+    record: eqx.Module,
+    source: Source = None,
+    about: Mapping[str, str | float] = MappingProxyType({}),
+) -> None:
+    """Writes a record whole; `read_record` gives it back bit for bit. `source` names the measured files,
+    `about` is whatever else is to be said of it, which `read_about` tells.
 
     The file appears complete or not at all; an old one stays until then. Raises ValueError for a record
     with something in it that is not an array, a tuple, a text or a public class of jaxbrdf, DataError
     where `path` cannot be written.
     """
     with replacing(path) as temporary, h5py.File(temporary, **_WRITE) as file:
-        for name, value in {"format": kind.format, **provenance(source)}.items():
-            _write_text(file, name, value)
+        for name, value in {**about, "format": kind.format, **provenance(source)}.items():
+            _write_static(file, name, value)
         file.attrs["format_version"] = _VERSION
         _write(file, kind.group, record)
 
@@ -70,6 +78,13 @@ def record_format(path: AnyPath) -> str:
     damaged file."""
     with _damage(path), h5py.File(path, **_READ) as file:
         return str(_text(file, "format")) if "format" in file.attrs else ""
+
+
+def read_about(path: AnyPath) -> dict[str, str | float | tuple[str, ...]]:
+    """What a file says of itself: its format, where it comes from, and what its writer added. Raises
+    DataError for a damaged file."""
+    with _damage(path), h5py.File(path, **_READ) as file:
+        return {name: _attribute(file, name) for name in file.attrs if name != "format_version"}
 
 
 # Writing
@@ -97,7 +112,7 @@ def _write_module(group: h5py.Group, module: eqx.Module) -> None:
     for field in dataclasses.fields(module):
         value, is_static = getattr(module, field.name), field.metadata.get("static", False)
         if value is not None:
-            (_write_text if is_static else _write)(group, field.name, value)
+            (_write_static if is_static else _write)(group, field.name, value)
 
 
 def _write_array(group: h5py.Group, name: str, array: np.ndarray) -> None:
@@ -108,11 +123,20 @@ def _write_array(group: h5py.Group, name: str, array: np.ndarray) -> None:
     group.create_dataset(name, data=array).attrs["crc32"] = _crc(array)
 
 
+def _write_static(group: h5py.Group, name: str, value: object) -> None:
+    """A plain number, or a text."""
+    if isinstance(value, float):
+        group.attrs[name] = value
+    else:
+        _write_text(group, name, value)
+
+
 def _write_text(group: h5py.Group, name: str, value: object) -> None:
     """A str or a tuple of str, of fixed length: HDF5's checks do not cover texts of variable length."""
     if not all(isinstance(item, str) for item in (value if isinstance(value, tuple) else (value,))):
         raise ValueError(
-            f"HDF5 stores a static field if it is a str or tuple of str; {group.name}/{name} is {value!r}"
+            "HDF5 stores a static field if it is a float, a str or tuple of str; "
+            f"{group.name}/{name} is {value!r}"
         )
     data = np.char.encode(np.asarray(value, dtype=str), "utf-8", "surrogateescape")
     group.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, data.itemsize)))
@@ -208,10 +232,15 @@ def _member(path: AnyPath, group: h5py.Group, name: str) -> h5py.Group | h5py.Da
     return group[name]
 
 
-def _static(path: AnyPath, group: h5py.Group, name: str) -> str | tuple[str, ...]:
+def _static(path: AnyPath, group: h5py.Group, name: str) -> str | float | tuple[str, ...]:
     if name not in group.attrs:
         raise DataError(path, f"the attribute {name!r} of {group.name}", f"only {sorted(group.attrs)}")
-    return _text(group, name)
+    return _attribute(group, name)
+
+
+def _attribute(group: h5py.Group, name: str) -> str | float | tuple[str, ...]:
+    value = group.attrs[name]
+    return float(value) if isinstance(value, np.floating) else _text(group, name)
 
 
 def _text(group: h5py.Group, name: str) -> str | tuple[str, ...]:

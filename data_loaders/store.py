@@ -48,11 +48,11 @@ def read_hdf5(path: AnyPath) -> Reflectance:
     reflectance = read_record(path, REFLECTANCE)
     if not isinstance(reflectance, Reflectance):
         raise DataError(path, "a reflectance", f"a {type(reflectance).__name__}")
-    _check_shapes(path, reflectance)
+    check_shapes(path, reflectance)
     return reflectance
 
 
-def _check_shapes(path: AnyPath, record: eqx.Module) -> None:
+def check_shapes(path: AnyPath, record: eqx.Module) -> None:
     """What the class itself asks of its arrays, which reading leaves out."""
     try:
         for cls in type(record).__mro__:
