@@ -155,7 +155,10 @@ def run(
     method = options.start()
     outcome = batch.each(files, partial(_take_in, method, options), "reading", Console(stderr=True))
     if outcome.records and not outcome.interrupted:
-        document = _finish(method.ndf(), list(outcome.records.values()), out, options, picture)
+        try:
+            document = _finish(method.ndf(), list(outcome.records.values()), out, options, picture)
+        except (DataError, ValueError, OSError) as error:
+            raise batch.Refused(str(error)) from error
         _tell(document, outcome, as_json)
     report.say_failures(outcome, len(files))
     return outcome.exit_status
@@ -207,11 +210,15 @@ def _finish(
 ) -> dict[str, Any]:
     """Writes the table and its picture; the document that says what they show."""
     out.parent.mkdir(parents=True, exist_ok=True)
+    about = options.about()
+    sigmas = {scan["sigma"] for scan in scans if "sigma" in scan}
+    if len(sigmas) == 1:  # of several, each scan's stands in the document
+        about["sigma"] = sigmas.pop()
     fits = {name: fit_ndf(model, ndf) for name, model in _models().items()}
-    write_ndf(out, ndf, [scan["source"] for scan in scans], options.about() | {"scans": float(len(scans))})
+    write_ndf(out, ndf, [scan["source"] for scan in scans], about | {"scans": float(len(scans))})
     document = {
         "out": str(out),
-        **options.about(),
+        **about,
         "scans": scans,
         **_slopes(ndf),
         "fits": [_fit_in_words(name, fit) for name, fit in fits.items()],

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from data_loaders import read_about, read_ndf, write_heightfield
-from jaxbrdf import facet_ndf, filtered_ndf, gaussian_surface, levelled
+from jaxbrdf import Heightfield, facet_ndf, filtered_ndf, gaussian_surface, levelled
 from jaxbrdf.cli.main import app
 
 
@@ -43,6 +43,7 @@ def test_one_table_of_all_scans_is_written(result, folder, surfaces):
     np.testing.assert_allclose(table, sum(each) / 2, atol=1e-9)
     about = read_about(folder / "out" / "table.h5")
     assert (about["method"], about["levelled"], about["scans"]) == ("filtered", "plane", 2.0)
+    assert about["sigma"] == 1.0  # of both
     assert about["source"] == (str(folder / "a.h5"), str(folder / "b.h5"))
     assert (folder / "out" / "table.png").read_bytes().startswith(b"\x89PNG")
 
@@ -104,3 +105,13 @@ def test_a_wrong_sigma_is_told_and_nothing_is_written(folder):
     assert result.exit_code == 2
     assert "at least the larger pixel size" in result.stderr
     assert not (folder / "none.h5").exists()
+
+
+def test_scans_without_a_normal_are_told_and_nothing_is_written(folder, tmp_path):
+    mask = np.zeros((9, 9), bool)
+    mask[::3, ::3] = True
+    write_heightfield(tmp_path / "sparse.h5", Heightfield(np.zeros((9, 9)), 1, 1, mask))
+    result = run(tmp_path / "sparse.h5", "--method", "facet", "--out", tmp_path / "none.h5")
+    assert result.exit_code == 2
+    assert "no normal is known" in result.stderr
+    assert not (tmp_path / "none.h5").exists()
