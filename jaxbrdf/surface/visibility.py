@@ -41,7 +41,7 @@ def visibility(heightfield: Heightfield, w: ArrayLike, margin: float | None = No
 
     The map is not levelled here. 0 for w at and below the horizon, NaN where nothing faces w. Heights are
     linear between neighbouring points: where shadows end V is wrong for some 0.5 % of the facets of a surface
-    of slopes 0.35 and a correlation length of 6 pixels. V is a step, of derivative 0; the weights have theirs.
+    of slopes 0.35 and a correlation length of 6 pixels. V is a step, of derivative 0; weights have theirs.
     """
     return _visibility(heightfield, as_directions(w, "w"), _traced(margin))
 
