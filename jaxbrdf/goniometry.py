@@ -73,7 +73,7 @@ def effective_ndf(
     m = disk_cells(size)
     inside = m[2] > 0
     rows = jnp.moveaxis(jnp.where(inside, m, np.reshape(NORMAL, (3, 1, 1))), 0, -1)
-    D = _density_of_rows(brdf, fresnel, rows, between)
+    D = _density_of_rows(brdf.anonymous, fresnel, rows, between)
     return TabulatedNDF(jnp.where(inside.reshape(inside.shape + (1,) * (D.ndim - 2)), D, 0))
 
 

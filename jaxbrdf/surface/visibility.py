@@ -37,8 +37,11 @@ def visibility(heightfield: Heightfield, w: ArrayLike, margin: float | None = No
     Missing points hide nothing and are not counted. Beyond the border nothing is known, and rays that leave
     the map escape; facets from which less than `margin` µm of the map lie ahead are therefore not counted:
     by default as far as a ray takes to rise by all the relief, peak to valley times tan θ, but at most half
-    of what the map spans along w. (To keep the rays that rise in time would favour peaks.) The map is
-    not levelled here. 0 for w at and below the horizon, NaN where nothing faces w.
+    of what the map spans along w. (To keep the rays that rise in time would favour peaks.)
+
+    The map is not levelled here. 0 for w at and below the horizon, NaN where nothing faces w. Heights are
+    linear between neighbouring points: where shadows end V is wrong for some 0.5 % of the facets of a surface
+    of slopes 0.35 and a correlation length of 6 pixels. V is a step, of derivative 0; weights have theirs.
     """
     return _visibility(heightfield, as_directions(w, "w"), _traced(margin))
 

@@ -11,7 +11,9 @@ from jaxbrdf import (
     Beckmann,
     Conductor,
     GaussianSignature,
+    HalfDifferenceGrid,
     Lambertian,
+    MeasuredBRDF,
     MeasuredSignature,
     Microfacet,
     Schlick,
@@ -92,7 +94,26 @@ def test_a_table_of_effective_densities():
     m, solid_angle = cells(33)
     expected = np.where(solid_angle > 0, ndf(m), 0)
     np.testing.assert_allclose(table, np.repeat(expected[..., None], 3, axis=-1), rtol=1e-9, atol=1e-15)
-    assert effective_ndf(Lambertian(np.float32(0.5)), Schlick(1.0), size=9).values.shape == (9, 9)
+
+
+def test_of_a_measurement():
+    """Where it has no valid sample around a half angle, NaN; in single precision all the same."""
+    edges = [np.linspace(0, end, n + 1) for end, n in ((np.pi / 2, 30), (np.pi / 2, 12), (np.pi, 4))]
+    grid = HalfDifferenceGrid(*((e[1:] + e[:-1]) / 2 for e in edges), *edges)
+    raw = np.full((*grid.shape, 1), 2.0)
+    raw[10:15] = -1
+    brdf, white = MeasuredBRDF(raw, np.ones(1), grid), Schlick(np.float32(1.0))
+    table = np.asarray(effective_ndf(brdf, white, size=41).values)[..., 0]
+    m, solid_angle = cells(41)
+    theta = np.degrees(np.arccos(m[..., 2]))
+    missing = (theta > 33) & (theta < 42)
+    np.testing.assert_array_equal(np.isnan(table[missing]), True)
+    sure = ((theta < 28) | ((theta > 47) & (theta < 70))) & (solid_angle > 0)
+    np.testing.assert_allclose(table[sure], 8 * (m[..., 2] * np.cos(np.radians(7.07)))[sure] ** 2, rtol=1e-6)
+    assert np.sum(missing) > 50 < np.sum(sure)
+    single = effective_density(Lambertian(np.float32(1.0)), white, np.float32([[0.6, 0.0, 0.8]]))
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, 4 / np.pi * (0.8 * np.cos(np.radians(7.07))) ** 2, rtol=1e-5)
 
 
 def test_wavelength_of_the_scattering_vector():
