@@ -28,6 +28,7 @@ from jaxbrdf.brdf.kirchhoff import KirchhoffBRDF
 from jaxbrdf.fresnel import AbstractFresnel
 from jaxbrdf.ndf.tabulated import TabulatedNDF
 from jaxbrdf.shadowing import AbstractShadowing, Uncorrelated
+from jaxbrdf.surface.facets import facets
 from jaxbrdf.surface.heightfield import Heightfield
 
 COHERENT_PATCH = 70.0  # µm: Dong et al. 2015, appendix A, near the coherence area of sunlight
@@ -183,15 +184,12 @@ class _Squares(NamedTuple):
 
 @jax.jit
 def _squares(heightfield: Heightfield) -> _Squares:
-    z, dx, dy, valid = heightfield.heights, heightfield.dx, heightfield.dy, heightfield.valid
-    complete = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
-    left, right = z[:-1, :-1] + z[1:, :-1], z[:-1, 1:] + z[1:, 1:]
-    below, above = z[:-1, :-1] + z[:-1, 1:], z[1:, :-1] + z[1:, 1:]
-    middle = (left + right) / 4
-    centred = middle - _halfway(middle, complete)
-    fields = jnp.full_like(middle, dx * dy), centred, (right - left) / (2 * dx), (above - below) / (2 * dy)
-    even = [(0, n % 2) for n in middle.shape]
-    return _Squares(*(jnp.pad(jnp.where(complete, f, 0), even) for f in fields))
+    of = facets(heightfield)
+    centred = of.height - _halfway(of.height, of.known)
+    area = jnp.full_like(centred, heightfield.dx * heightfield.dy)
+    even = [(0, n % 2) for n in centred.shape]
+    fields = area, centred, of.slope_x, of.slope_y
+    return _Squares(*(jnp.pad(jnp.where(of.known, field, 0), even) for field in fields))
 
 
 def _halfway(z: Float[Array, "ny nx"], valid: Bool[Array, "ny nx"]) -> Float[Array, ""]:

@@ -5,40 +5,13 @@ lies below it. Along a line in w's azimuth that is a running maximum from the fa
 by what a ray rises from column to column; lines that are parallel and one pixel apart cover the map.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxbrdf.directions import Direction
 from jaxbrdf.special import safe_divide
+from jaxbrdf.surface.facets import Squares
 from jaxbrdf.surface.heightfield import Heightfield
-
-Squares = Float[Array, "rows columns"]
-
-
-class Facets(NamedTuple):
-    """The squares between the points of a map, (ny − 1, nx − 1): mean slopes; are all corners known?"""
-
-    slope_x: Squares
-    slope_y: Squares
-    known: Bool[Array, "rows columns"]
-
-    def towards(self, w: Direction) -> Squares:
-        """(w·m) / (m·n) = w_z − w_x ∂z/∂x − w_y ∂z/∂y: a facet's area as w sees it over that on the map."""
-        return w[2] - w[0] * self.slope_x - w[1] * self.slope_y
-
-
-def facets(heightfield: Heightfield) -> Facets:
-    """The facets of a map."""
-    z, known = heightfield.heights, heightfield.valid
-    along_x, along_y = jnp.diff(z, axis=1) / heightfield.dx, jnp.diff(z, axis=0) / heightfield.dy
-    return Facets(
-        (along_x[:-1] + along_x[1:]) / 2,
-        (along_y[:, :-1] + along_y[:, 1:]) / 2,
-        known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:],
-    )
 
 
 def clear(heightfield: Heightfield, w: Float[Array, "3"]) -> Bool[Array, "rows columns"]:

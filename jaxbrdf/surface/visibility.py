@@ -20,8 +20,9 @@ from jaxbrdf.directions import (
 )
 from jaxbrdf.fresnel import AbstractFresnel
 from jaxbrdf.special import safe_divide, safe_hypot
+from jaxbrdf.surface.facets import Facets, facets
 from jaxbrdf.surface.heightfield import Heightfield
-from jaxbrdf.surface.tracing import Facets, clear, facets
+from jaxbrdf.surface.tracing import clear
 
 
 def visibility(heightfield: Heightfield, w: ArrayLike, margin: float | None = None) -> Float[Array, "..."]:
