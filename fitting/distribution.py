@@ -12,12 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from fitting.covariance import sandwich
 from fitting.least_squares import LaneSolutions, map_lanes, solve_lanes
 from fitting.model_space import ModelSpace, model_space
-from fitting.outcome import means_nothing, statuses, warn_of_float32
+from fitting.outcome import Outcome, means_nothing, statuses, warn_of_float32
 from fitting.parameters import unit_grid
 from fitting.starts import grid_minima
 from jaxbrdf.arrays import channel_count
@@ -79,17 +79,6 @@ def fit_ndf(
     numbers, status, cost, steps, covariance, residuals = together
     fitted = space.fitted(model, jnp.asarray(numbers))
     return FitResult(fitted, status, cost, steps, covariance, residuals, space.names, "area-weighted L2")
-
-
-class Outcome(NamedTuple):
-    """Of each table."""
-
-    numbers: Float[np.ndarray, "... n"]
-    status: Int[np.ndarray, "..."]
-    cost: Float[np.ndarray, "..."]
-    steps: Int[np.ndarray, "..."]
-    covariance: Float[np.ndarray, "... n n"]
-    residuals: Float[np.ndarray, "... K"]
 
 
 def _fit_table(space: ModelSpace, given: np.ndarray, values: np.ndarray, starts: int) -> Outcome:

@@ -1,12 +1,24 @@
 """How fits ended, and a word on the precision they ran in."""
 
 import warnings
+from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxbrdf.fit_result import FitStatus
+
+
+class Outcome(NamedTuple):
+    """Of each lane, or in whatever shape the lanes are brought: what a `FitResult` is made of."""
+
+    numbers: Float[np.ndarray, "... n"]
+    status: Int[np.ndarray, "..."]
+    cost: Float[np.ndarray, "..."]
+    steps: Int[np.ndarray, "..."]
+    covariance: Float[np.ndarray, "... n n"]
+    residuals: Float[np.ndarray, "... N"]
 
 
 def statuses(

@@ -8,12 +8,10 @@ robust, is linearised at the measurement for this, and at last minimised itself 
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
 
 from fitting.appearance import closest_picture
 from fitting.covariance import sandwich
@@ -23,7 +21,7 @@ from fitting.lobes import LossLane, best_fits, weighted_residual
 from fitting.losses import Loss, as_loss
 from fitting.model_space import ModelSpace, model_space
 from fitting.observations import observe
-from fitting.outcome import means_nothing, statuses, warn_of_float32
+from fitting.outcome import Outcome, means_nothing, statuses, warn_of_float32
 from jaxbrdf.brdf.base import AbstractBRDF
 from jaxbrdf.fit_result import FitResult
 from jaxbrdf.resampling import Measurement, count_channels
@@ -121,17 +119,6 @@ def _check_channels(model: AbstractBRDF, measured: Measurement) -> None:
 def _for_each_lane(given: np.ndarray, lanes: Lanes) -> np.ndarray:
     """(C, n) to (L, n), channels running first."""
     return np.tile(given, (len(lanes.enough) // len(given), 1))
-
-
-class Outcome(NamedTuple):
-    """Of each lane, or in whatever shape the lanes are brought."""
-
-    numbers: Float[np.ndarray, "... n"]
-    status: Int[np.ndarray, "..."]
-    cost: Float[np.ndarray, "..."]
-    steps: Int[np.ndarray, "..."]
-    covariance: Float[np.ndarray, "... n n"]
-    residuals: Float[np.ndarray, "... N"]
 
 
 def _outcome(fit: LaneFit, lanes: Lanes, shared: Shared) -> Outcome:
