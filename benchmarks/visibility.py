@@ -40,7 +40,7 @@ from jaxbrdf import (
     visibility,
     visible_facets,
 )
-from jaxbrdf.surface.tracing import facets
+from jaxbrdf.surface.facets import facets
 
 THETA = np.arange(5, 90, 5)
 SHOWN = (60, 75, 85)
