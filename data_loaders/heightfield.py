@@ -10,9 +10,9 @@ import numpy as np
 
 from data_loaders.errors import DataError
 from data_loaders.files import HDF5_MAGIC, AnyPath, describe, read_head, system_errors
-from data_loaders.hdf5_record import Kind, read_record, record_format, write_record
+from data_loaders.hdf5_record import Kind, record_format, write_record
 from data_loaders.provenance import Source
-from data_loaders.store import check_shapes
+from data_loaders.store import read_whole
 from jaxbrdf import Heightfield
 
 HEIGHTFIELD = Kind("jaxbrdf height map", "heightfield")
@@ -22,7 +22,7 @@ _MICROMETRES = {"m": 1e6, "mm": 1e3, "µm": 1.0, "μm": 1.0, "um": 1.0, "nm": 1e
 _SUFFIXES = {".npy", ".npz", ".h5", ".hdf5"} | {
     *(".dat", ".datx", ".opd", ".opdx", ".x3p", ".sur", ".mnt", ".plu", ".plux", ".al3d", ".sdf", ".nms"),
     *(".ibw", ".spm", ".mi", ".gwy", ".zon", ".vk3", ".vk4", ".vk6", ".vk7", ".nc", ".bcr", ".bcrf", ".os3d"),
-    *(".jpk", ".zag", ".zmg", ".frt", ".lext", ".ezd", ".nid", ".par", ".hm", ".h5dg"),
+    *(".jpk", ".zag", ".zmg", ".frt", ".lext", ".ezd", ".nid", ".par"),
 }
 
 
@@ -52,7 +52,7 @@ def read_heightfield(
     if suffix in (".npy", ".npz"):
         return _read_numpy(path, unit or "um", pixel)
     if head.startswith(HDF5_MAGIC) and record_format(path) == HEIGHTFIELD.format:
-        return _read_ours(path)
+        return read_whole(path, HEIGHTFIELD, Heightfield, "Heightfield")
     return _read_scan(path, unit, pixel, channel)
 
 
@@ -80,7 +80,7 @@ def _files_of(path: Path) -> list[Path]:
     return found
 
 
-# numpy's files and ours
+# numpy's files
 
 
 def _read_numpy(path: AnyPath, unit: str, pixel) -> Heightfield:
@@ -115,14 +115,6 @@ def _sizes(path: AnyPath, pixel, parts: Mapping[str, np.ndarray]) -> tuple[float
         return float(parts["dx"]), float(parts.get("dy", parts["dx"]))
     except (TypeError, ValueError) as error:
         raise DataError(path, "dx and dy that are one number each", f"{error}") from error
-
-
-def _read_ours(path: AnyPath) -> Heightfield:
-    heightfield = read_record(path, HEIGHTFIELD)
-    if not isinstance(heightfield, Heightfield):
-        raise DataError(path, "a Heightfield", f"a {type(heightfield).__name__}")
-    check_shapes(path, heightfield)
-    return heightfield
 
 
 # Profilometers' files

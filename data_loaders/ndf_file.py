@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from data_loaders.errors import DataError
 from data_loaders.files import AnyPath
-from data_loaders.hdf5_record import Kind, read_record, write_record
+from data_loaders.hdf5_record import Kind, write_record
 from data_loaders.provenance import Source
-from data_loaders.store import check_shapes
+from data_loaders.store import read_whole
 from jaxbrdf import AbstractNDF, TabulatedNDF
 
 NDF = Kind("jaxbrdf distribution of normals", "ndf")
@@ -37,8 +36,4 @@ def write_ndf(
 
 def read_ndf(path: AnyPath) -> TabulatedNDF:
     """The table that `write_ndf` wrote. Raises DataError for any other file, a damaged or a shortened one."""
-    ndf = read_record(path, NDF)
-    if not isinstance(ndf, TabulatedNDF):
-        raise DataError(path, "a TabulatedNDF", f"a {type(ndf).__name__}")
-    check_shapes(path, ndf)
-    return ndf
+    return read_whole(path, NDF, TabulatedNDF, "TabulatedNDF")

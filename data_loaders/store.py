@@ -1,5 +1,7 @@
 """Fits and reflectances on the disk, as HDF5 files: whole, and bit for bit."""
 
+from typing import Any
+
 import equinox as eqx
 
 from data_loaders.errors import DataError
@@ -45,14 +47,19 @@ def write_hdf5(path: AnyPath, reflectance: Reflectance, source: Source = None) -
 
 def read_hdf5(path: AnyPath) -> Reflectance:
     """The reflectance that `write_hdf5` wrote. Raises DataError as `load_fit` does."""
-    reflectance = read_record(path, REFLECTANCE)
-    if not isinstance(reflectance, Reflectance):
-        raise DataError(path, "a reflectance", f"a {type(reflectance).__name__}")
-    check_shapes(path, reflectance)
-    return reflectance
+    return read_whole(path, REFLECTANCE, Reflectance, "reflectance")
 
 
-def check_shapes(path: AnyPath, record: eqx.Module) -> None:
+def read_whole(path: AnyPath, kind: Kind, classes: Any, name: str) -> Any:
+    """The record of a file, of one of some classes and with arrays that belong together. Raises DataError."""
+    record = read_record(path, kind)
+    if not isinstance(record, classes):
+        raise DataError(path, f"a {name}", f"a {type(record).__name__}")
+    _check_shapes(path, record)
+    return record
+
+
+def _check_shapes(path: AnyPath, record: eqx.Module) -> None:
     """What the class itself asks of its arrays, which reading leaves out."""
     try:
         for cls in type(record).__mro__:

@@ -44,7 +44,7 @@ class Cells(NamedTuple):
         count = len(self.values)
         if count <= _SOME:
             return self
-        held = self.root**2 * self.values**2
+        held = self.root**2 * self.values**2 + 1e-300  # evenly where nothing is held at all
         chance = 0.5 / count + 0.5 * held / held.sum()
         rows = np.sort(np.random.default_rng(0).choice(count, _SOME, p=chance / chance.sum()))
         return Cells(self.m[rows], self.root[rows] / np.sqrt(_SOME * chance[rows]), self.values[rows])

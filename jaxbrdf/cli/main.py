@@ -299,9 +299,8 @@ def ndf(
         float, typer.Option(metavar="UM", help="Effective wavelength of kirchhoff, µm.")
     ] = 0.555,
     patch: Annotated[
-        float | None,
-        typer.Option(metavar="UM", help="Side of the patches in which light is coherent, µm. [default: 70]"),
-    ] = None,
+        float, typer.Option(metavar="UM", help="Side of the patches in which light is coherent, µm.")
+    ] = 70.0,
     level: Annotated[
         str,
         typer.Option(metavar="FORM", help="Form taken off each scan: **none**, **plane** or **quadratic**."),

@@ -33,6 +33,7 @@ from jaxbrdf import (
 )
 from jaxbrdf.cli import batch, ndf_pictures, numerics, report
 from jaxbrdf.ndf.tabulated import disk_cells
+from jaxbrdf.surface.kirchhoff import COHERENT_PATCH
 from jaxbrdf.surface.normals import NormalCounts, facet_cells, filtered_cells
 
 _LEVELS = {"none": 0, "plane": 1, "quadratic": 2}
@@ -52,6 +53,10 @@ class Method(ABC):
     def ndf(self) -> TabulatedNDF:
         """The distribution of all maps. Raises ValueError where there is none."""
 
+    def about(self) -> dict[str, float]:
+        """The numbers that it worked with."""
+        return {}
+
 
 class Facets(Method):
     """`facet_ndf` of all."""
@@ -70,21 +75,28 @@ class Filtered(Method):
     """`filtered_ndf` of all, each with its own default sigma unless one is given."""
 
     def __init__(self, size: int, sigma: float | None):
-        self._sigma = sigma
+        self._sigma, self._sigmas = sigma, set[float]()
         self._counts = NormalCounts(partial(filtered_cells, sigma=sigma), size)
 
     def add(self, heightfield: Heightfield) -> dict[str, Any]:
         sigma = default_sigma(heightfield) if self._sigma is None else self._sigma
-        return {"normals": self._counts.add(heightfield), "sigma": sigma}
+        count = self._counts.add(heightfield)
+        self._sigmas.add(sigma)
+        return {"normals": count, "sigma": sigma}
 
     def ndf(self) -> TabulatedNDF:
         return self._counts.ndf()
+
+    def about(self) -> dict[str, float]:
+        """Of several sigmas each scan has its own in the document."""
+        return {"sigma": min(self._sigmas)} if len(self._sigmas) == 1 else {}
 
 
 class Kirchhoff(Method):
     """The mean of `kirchhoff_ndf`, by measured area."""
 
-    def __init__(self, size: int, wavelength: float, patch: float | None):
+    def __init__(self, size: int, wavelength: float, patch: float):
+        self._about = {"wavelength": wavelength, "patch": patch}
         self._estimate = partial(kirchhoff_ndf, wavelength=wavelength, patch=patch, size=size)
         self._total, self._area = np.zeros((size, size)), 0.0
 
@@ -97,6 +109,9 @@ class Kirchhoff(Method):
     def ndf(self) -> TabulatedNDF:
         return TabulatedNDF(jnp.asarray(self._total / self._area))
 
+    def about(self) -> dict[str, float]:
+        return self._about
+
 
 @dataclass(frozen=True)
 class Options:
@@ -105,7 +120,7 @@ class Options:
     method: str = "filtered"
     sigma: float | None = None
     wavelength: float = 0.555
-    patch: float | None = None
+    patch: float = COHERENT_PATCH
     level: str = "plane"
     outliers: bool = True
     size: int = 1025
@@ -122,16 +137,10 @@ class Options:
             raise batch.Refused(f"--method {self.method}: expected one of {', '.join(methods)}")
         return methods[self.method]()
 
-    def about(self) -> dict[str, str | float]:
-        """What the file says of how its table was made."""
-        own = {
-            "facet": {},
-            "filtered": {} if self.sigma is None else {"sigma": self.sigma},
-            "kirchhoff": {"wavelength": self.wavelength}
-            | ({} if self.patch is None else {"patch": self.patch}),
-        }[self.method]
+    def about(self) -> dict[str, str]:
+        """What the file says of how its scans were treated."""
         outliers = "kept" if self.outliers else "masked out"
-        return {"method": self.method, **own, "levelled": self.level, "outliers": outliers}
+        return {"method": self.method, "levelled": self.level, "outliers": outliers}
 
     def prepared(self, heightfield: Heightfield) -> Heightfield:
         if not self.outliers:
@@ -156,7 +165,7 @@ def run(
     outcome = batch.each(files, partial(_take_in, method, options), "reading", Console(stderr=True))
     if outcome.records and not outcome.interrupted:
         try:
-            document = _finish(method.ndf(), list(outcome.records.values()), out, options, picture)
+            document = _finish(method, list(outcome.records.values()), out, options, picture)
         except (DataError, ValueError, OSError) as error:
             raise batch.Refused(str(error)) from error
         _tell(document, outcome, as_json)
@@ -205,15 +214,11 @@ def _take_in(method: Method, options: Options, path: Path) -> dict[str, Any]:
     }
 
 
-def _finish(
-    ndf: TabulatedNDF, scans: list[dict], out: Path, options: Options, picture: bool
-) -> dict[str, Any]:
+def _finish(method: Method, scans: list[dict], out: Path, options: Options, picture: bool) -> dict[str, Any]:
     """Writes the table and its picture; the document that says what they show."""
+    ndf = method.ndf()
+    about: dict[str, str | float] = {**options.about(), **method.about()}
     out.parent.mkdir(parents=True, exist_ok=True)
-    about = options.about()
-    sigmas = {scan["sigma"] for scan in scans if "sigma" in scan}
-    if len(sigmas) == 1:  # of several, each scan's stands in the document
-        about["sigma"] = sigmas.pop()
     fits = {name: fit_ndf(model, ndf) for name, model in _models().items()}
     write_ndf(out, ndf, [scan["source"] for scan in scans], about | {"scans": float(len(scans))})
     document = {

@@ -23,10 +23,11 @@ def overview(ndf: TabulatedNDF, fits: Mapping[str, FitResult], title: str) -> Fi
     values = np.asarray(ndf.values)
     radius, azimuth = _extent(values)
     _draw_disk(figure, disk, values, radius)
-    peak = gaussian_filter(values, _SMOOTH).max()
+    smooth = gaussian_filter(values, _SMOOTH)
     for ax, name, angle in ((across, "across", azimuth), (along, "along", azimuth + np.pi / 2)):
-        _draw_slice(ax, values, fits, angle, min(1.0, 1.3 * radius))
-        ax.set(title=f"{name}: azimuth {np.rad2deg(angle) % 180:.0f}°", ylim=(1e-4 * peak, 2 * peak))
+        _draw_slice(ax, smooth, fits, angle, min(1.0, 1.3 * radius))
+        ax.set(title=f"{name}: azimuth {np.rad2deg(angle) % 180:.0f}°")
+        ax.set_ylim(1e-4 * smooth.max(), 2 * smooth.max())
     across.set_ylabel("D, 1/sr")
     along.legend(frameon=False, fontsize=8)
     figure.suptitle(title)
@@ -71,8 +72,7 @@ def _draw_slice(
     m = np.array(spherical(np.abs(theta), np.where(theta < 0, azimuth + np.pi, azimuth)))
     n = len(values)
     rows, columns = ((m[:, k] + 1) * n / 2 - 0.5 for k in (1, 0))
-    smooth = gaussian_filter(values, _SMOOTH)
-    data = map_coordinates(smooth, [rows, columns], order=1, mode="nearest")
+    data = map_coordinates(values, [rows, columns], order=1, mode="nearest")
     ax.semilogy(
         np.rad2deg(theta), np.where(data > 0, data, np.nan), color="0.55", linewidth=2.5, label="measured"
     )

@@ -75,8 +75,9 @@ def test_fixed_parameters_stay():
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
-def test_a_table_of_nothing_is_a_status(value):
-    result = fit_ndf(Beckmann(0.1), TabulatedNDF(np.full((N, N), value)))
+@pytest.mark.parametrize("size", [N, 257], ids=["all cells", "some cells"])
+def test_a_table_of_nothing_is_a_status(value, size):
+    result = fit_ndf(Beckmann(0.1), TabulatedNDF(np.full((size, size), value)))
     assert result.status == FitStatus.TOO_FEW_SAMPLES
     assert np.isnan(result.model.alpha_x)
 
