@@ -1,9 +1,10 @@
 r"""A record as an HDF5 file: models, measurements, fits, bit for bit, and where they come from.
 
 A model is a group with its class in the attribute "class"; its arrays are datasets, its tuples groups with
-the attribute "length" and members numbered from 0, its texts and plain numbers attributes. Classes are looked
-up by name among the public names of jaxbrdf; nothing else in a file can name code. The file's own attributes
-say its format and its provenance.
+the attribute "length" and members numbered from 0, its texts and plain numbers, and static tuples of them,
+attributes. One that is not there reads as the default of its field, if there is one: old files stay readable
+when a class gains a field. Classes are looked up by name among the public names of jaxbrdf; nothing else in a
+file can name code. The file's own attributes say its format and its provenance.
 
 Damage is noticed: HDF5 of this version checks its own structure, and each array has a CRC-32 beside it.
 """
@@ -29,6 +30,9 @@ _VERSION = 1
 # v110 checks its structure. No locks: files are replaced whole, and network drives often cannot lock.
 _WRITE = {"mode": "w", "libver": "v110", "locking": False}
 _READ = {"mode": "r", "locking": False}
+_NUMBERS = (int,), (float, np.float64)  # of one kind: what reads as another would not be the same
+
+Static = str | float | int | tuple[str, ...] | tuple[float, ...] | tuple[int, ...]
 
 
 class Kind(NamedTuple):
@@ -80,7 +84,7 @@ def record_format(path: AnyPath) -> str:
         return str(_text(file, "format")) if "format" in file.attrs else ""
 
 
-def read_about(path: AnyPath) -> dict[str, str | float | tuple[str, ...]]:
+def read_about(path: AnyPath) -> dict[str, Static]:
     """What a file says of itself: its format, where it comes from, and what its writer added. Raises
     DataError for a damaged file."""
     with _damage(path), h5py.File(path, **_READ) as file:
@@ -124,8 +128,9 @@ def _write_array(group: h5py.Group, name: str, array: np.ndarray) -> None:
 
 
 def _write_static(group: h5py.Group, name: str, value: object) -> None:
-    """A plain number, or a text."""
-    if isinstance(value, float):
+    """A plain number or a text, or a tuple of either."""
+    items = value if isinstance(value, tuple) else (value,)
+    if items and any(all(type(item) in kinds for item in items) for kinds in _NUMBERS):
         group.attrs[name] = value
     else:
         _write_text(group, name, value)
@@ -135,7 +140,7 @@ def _write_text(group: h5py.Group, name: str, value: object) -> None:
     """A str or a tuple of str, of fixed length: HDF5's checks do not cover texts of variable length."""
     if not all(isinstance(item, str) for item in (value if isinstance(value, tuple) else (value,))):
         raise ValueError(
-            "HDF5 stores a static field if it is a float, a str or tuple of str; "
+            "HDF5 stores a static field if it is a float, an int, a str or a tuple of one of them; "
             f"{group.name}/{name} is {value!r}"
         )
     data = np.char.encode(np.asarray(value, dtype=str), "utf-8", "surrogateescape")
@@ -196,7 +201,8 @@ def _read_module(path: AnyPath, group: h5py.Group) -> eqx.Module:
 
 def _read_field(path: AnyPath, group: h5py.Group, field: dataclasses.Field) -> object:
     if field.metadata.get("static", False):
-        return _static(path, group, field.name)
+        is_new = field.name not in group.attrs and field.default is not dataclasses.MISSING
+        return field.default if is_new else _static(path, group, field.name)
     if field.name not in group and field.default is None:
         return None
     return _as_declared(_read(path, _member(path, group, field.name)), field)
@@ -232,15 +238,17 @@ def _member(path: AnyPath, group: h5py.Group, name: str) -> h5py.Group | h5py.Da
     return group[name]
 
 
-def _static(path: AnyPath, group: h5py.Group, name: str) -> str | float | tuple[str, ...]:
+def _static(path: AnyPath, group: h5py.Group, name: str) -> Static:
     if name not in group.attrs:
         raise DataError(path, f"the attribute {name!r} of {group.name}", f"only {sorted(group.attrs)}")
     return _attribute(group, name)
 
 
-def _attribute(group: h5py.Group, name: str) -> str | float | tuple[str, ...]:
-    value = group.attrs[name]
-    return float(value) if isinstance(value, np.floating) else _text(group, name)
+def _attribute(group: h5py.Group, name: str) -> Static:
+    value = np.asarray(group.attrs[name])
+    if value.dtype.kind not in "if":
+        return _text(group, name)
+    return tuple(value.tolist()) if value.ndim else value.item()
 
 
 def _text(group: h5py.Group, name: str) -> str | tuple[str, ...]:

@@ -12,7 +12,11 @@ from jaxbrdf import AbstractNDF, TabulatedNDF
 NDF = Kind("jaxbrdf distribution of normals", "ndf")
 _LAYOUT = {
     "unit": "1/sr",
-    "layout": "values[..., i, j] at m_x = (2j+1)/N - 1, m_y = (2i+1)/N - 1 of the unit disk, 0 outside it",
+    "layout": (
+        "values[..., i, j] at m_x = e_x ((2j+1)/N - 1), m_y = e_y ((2i+1)/N - 1) of the unit disk, "
+        "0 outside it and outside this window; (e_x, e_y) is the attribute extent of the table, (1, 1) "
+        "where there is none"
+    ),
 }
 
 

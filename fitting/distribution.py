@@ -70,7 +70,7 @@ def fit_ndf(
     warn_of_float32()
     space, given, _ = model_space(model, fixed)
     stack = tables.reshape(-1, *tables.shape[-2:])
-    found = [_fit_table(space, given, values, starts) for values in stack]
+    found = [_fit_table(space, given, values, table.extent, starts) for values in stack]
     together = Outcome(*[np.stack(part) for part in zip(*found, strict=True)])
     if tables.ndim == 2:
         together = Outcome(*[part.reshape(part.shape[1:]) for part in together])
@@ -81,8 +81,10 @@ def fit_ndf(
     return FitResult(fitted, status, cost, steps, covariance, residuals, space.names, "area-weighted L2")
 
 
-def _fit_table(space: ModelSpace, given: np.ndarray, values: np.ndarray, starts: int) -> Outcome:
-    m = disk_cells(len(values)).reshape(3, -1)
+def _fit_table(
+    space: ModelSpace, given: np.ndarray, values: np.ndarray, extent: tuple[float, float], starts: int
+) -> Outcome:
+    m = disk_cells(len(values), extent).reshape(3, -1)
     inside = m[2] > 0
     held = values.reshape(-1)[inside]
     known = np.isfinite(held)

@@ -29,7 +29,7 @@ from jaxbrdf.directions import (
     to_spherical,
 )
 from jaxbrdf.fresnel import AbstractFresnel
-from jaxbrdf.ndf.tabulated import TabulatedNDF, disk_cells
+from jaxbrdf.ndf.tabulated import TabulatedNDF, cell_area, disk_cells
 from jaxbrdf.special import safe_sqrt
 
 BETWEEN = math.radians(14.14)  # from light to detector (Dong et al. 2015, section 7)
@@ -196,24 +196,26 @@ def blurred(ndf: TabulatedNDF, signature: AbstractSignature | None = None) -> Ta
 
     over the hemisphere: on the sphere, not on the disk, so that a spot is blurred by the same angle wherever
     it is. What is kept is ∫ D dm, but for what is blurred over the horizon, below which D is 0; ∫ D (m·n) dm
-    is multiplied by the mean cosine of K, 0.9999 for the default, `GaussianSignature()`, of 1.5°.
+    is multiplied by the mean cosine of K, 0.9999 for the default, `GaussianSignature()`, of 1.5°. Of a table
+    of a window nothing is known outside: D is 0 there, and what is blurred out of the window is lost.
 
     A direct sum over cells of solid angle dA / m_z: its error is 1e-5 by the cut of K, and grows near the rim
     to some 1 % where a cell spans 0.8 widths (above 84° for N = 1025 and 1.5°). It takes N² (N · reach)²
-    steps. Raises ValueError where cells are larger than half the width.
+    steps, reach in units of the extent. Raises ValueError where cells are larger than half the width.
     """
     signature = GaussianSignature() if signature is None else signature
-    n = ndf.values.shape[0]
+    n, extent = ndf.values.shape[0], ndf.extent
     if ndf.values.ndim > 2 and ndf.values.shape[1] != n:
         raise ValueError("blurred: one table at a time; jax.vmap over a batch of them")
-    if 4 / n > signature.width:
+    if 4 * max(extent) / n > signature.width:
         raise ValueError(
             f"blurred: a signature {signature.width:.3g} rad wide needs a table of at least "
-            f"{math.ceil(4 / signature.width)} cells a side; found {n}"
+            f"{math.ceil(4 * max(extent) / signature.width)} cells a side; found {n}"
         )
-    blur = partial(_blurred, signature=signature, radius=math.ceil(signature.reach * n / 2))
+    radii = tuple(min(n, math.ceil(signature.reach * n / (2 * half))) for half in extent)
+    blur = partial(_blurred, signature=signature, extent=extent, radii=radii)
     over_channels = jax.vmap(blur, -1, -1) if ndf.values.ndim > 2 else blur
-    return TabulatedNDF(over_channels(ndf.values))
+    return TabulatedNDF(over_channels(ndf.values), extent)
 
 
 def half_directions(
@@ -249,23 +251,31 @@ def _density_of_rows(brdf, fresnel, rows: Float[Array, "N N 3"], between: float)
     return jax.lax.map(lambda row: effective_density(brdf, fresnel, row, between), rows)
 
 
-@partial(jax.jit, static_argnames=("radius",))
-def _blurred(values: Float[Array, "N N"], signature: AbstractSignature, radius: int) -> Float[Array, "N N"]:
-    """Row by row of the result; for each, one column of the window after another."""
+@partial(jax.jit, static_argnames=("extent", "radii"))
+def _blurred(
+    values: Float[Array, "N N"],
+    signature: AbstractSignature,
+    extent: tuple[float, float],
+    radii: tuple[int, int],
+) -> Float[Array, "N N"]:
+    """Row by row of the result; for each, one column of the cells within `radii` after another."""
     n = len(values)
-    m_z = jnp.asarray(disk_cells(n)[2], values.dtype)
-    weighed = jnp.where(m_z > 0, values * (2 / n) ** 2 / jnp.where(m_z > 0, m_z, 1), 0)
-    weighed, height = jnp.pad(weighed, radius), jnp.pad(m_z, radius)
-    offset = (2 / n) * jnp.arange(-radius, radius + 1, dtype=values.dtype)
+    m_z = jnp.asarray(disk_cells(n, extent)[2], values.dtype)
+    weighed = jnp.where(m_z > 0, values * cell_area(n, extent) / jnp.where(m_z > 0, m_z, 1), 0)
+    weighed, height = (jnp.pad(a, [(r, r) for r in radii[::-1]]) for a in (weighed, m_z))
+    x, y = (
+        half * (2 / n) * jnp.arange(-radius, radius + 1, dtype=values.dtype)
+        for half, radius in zip(extent, radii, strict=True)
+    )
 
     def row(i):
-        near, above = (jax.lax.dynamic_slice_in_dim(a, i, 2 * radius + 1) for a in (weighed, height))
+        near, above = (jax.lax.dynamic_slice_in_dim(a, i, len(y)) for a in (weighed, height))
 
         def add(total, b):
             source, z = (jax.lax.dynamic_slice_in_dim(a, b, n, axis=1) for a in (near, above))
-            chord2 = (offset[b] ** 2 + offset**2)[:, None] + (z - m_z[i][None, :]) ** 2
+            chord2 = (x[b] ** 2 + y**2)[:, None] + (z - m_z[i][None, :]) ** 2
             return total + jnp.sum(signature(chord2) * source, axis=0), None
 
-        return jax.lax.scan(add, jnp.zeros(n, values.dtype), jnp.arange(2 * radius + 1))[0]
+        return jax.lax.scan(add, jnp.zeros(n, values.dtype), jnp.arange(len(x)))[0]
 
     return jnp.where(m_z > 0, jax.lax.map(row, jnp.arange(n)), 0)

@@ -32,7 +32,7 @@ from jaxbrdf import (
     without_outliers,
 )
 from jaxbrdf.cli import batch, ndf_pictures, numerics, report
-from jaxbrdf.ndf.tabulated import disk_cells
+from jaxbrdf.ndf.tabulated import cell_area, disk_cells
 from jaxbrdf.surface.kirchhoff import COHERENT_PATCH
 from jaxbrdf.surface.normals import NormalCounts, facet_cells, filtered_cells
 
@@ -247,8 +247,8 @@ def _models() -> dict[str, AbstractNDF]:
 
 def _slopes(ndf: TabulatedNDF) -> dict[str, Any]:
     """∫ D cos θ, which is 1 but for Kirchhoff, and the rms slopes of the distribution along x, y and both."""
-    m_x, m_y, m_z = disk_cells(ndf.values.shape[0])
-    share = np.where(m_z > 0, np.asarray(ndf.values) * (2 / len(m_z)) ** 2, 0)
+    m_x, m_y, m_z = disk_cells(ndf.values.shape[0], ndf.extent)
+    share = np.where(m_z > 0, np.asarray(ndf.values) * cell_area(len(m_z), ndf.extent), 0)
     safe = np.where(m_z > 0, m_z, 1)
     x, y = (float(np.sqrt(np.sum(share * (m / safe) ** 2) / share.sum())) for m in (m_x, m_y))
     return {"integral": float(share.sum()), "rms_slope": [x, y], "Sdq": float(np.hypot(x, y))}

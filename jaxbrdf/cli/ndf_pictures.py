@@ -20,38 +20,39 @@ def overview(ndf: TabulatedNDF, fits: Mapping[str, FitResult], title: str) -> Fi
     """The disk, and slices across and along the direction in which normals spread least."""
     figure = Figure(figsize=(13, 4.2), dpi=110, layout="constrained")
     disk, across, along = figure.subplots(1, 3)
-    values = np.asarray(ndf.values)
-    radius, azimuth = _extent(values)
-    _draw_disk(figure, disk, values, radius)
-    smooth = gaussian_filter(values, _SMOOTH)
+    radius, azimuth = _spread(ndf)
+    _draw_disk(figure, disk, ndf, radius)
+    smooth = TabulatedNDF(gaussian_filter(np.asarray(ndf.values), _SMOOTH), ndf.extent)
     for ax, name, angle in ((across, "across", azimuth), (along, "along", azimuth + np.pi / 2)):
         _draw_slice(ax, smooth, fits, angle, min(1.0, 1.3 * radius))
         ax.set(title=f"{name}: azimuth {np.rad2deg(angle) % 180:.0f}°")
-        ax.set_ylim(1e-4 * smooth.max(), 2 * smooth.max())
+        ax.set_ylim(1e-4 * smooth.values.max(), 2 * smooth.values.max())
     across.set_ylabel("D, 1/sr")
     along.legend(frameon=False, fontsize=8)
     figure.suptitle(title)
     return figure
 
 
-def _extent(values: np.ndarray) -> tuple[float, float]:
+def _spread(ndf: TabulatedNDF) -> tuple[float, float]:
     """The radius in the disk within which almost all normals are, and the azimuth along which they spread
     most: light is then spread across what lies along, grooves for instance."""
-    m_x, m_y, m_z = disk_cells(len(values))
-    weight = np.where(m_z > 0, values, 0)
+    m_x, m_y, m_z = disk_cells(len(ndf.values), ndf.extent)
+    weight = np.where(m_z > 0, np.asarray(ndf.values), 0)
     order = np.argsort(np.hypot(m_x, m_y), axis=None)
     inside = np.cumsum(weight.ravel()[order]) <= _SHARE * weight.sum()
     radius = np.hypot(m_x, m_y).ravel()[order][np.sum(inside) - 1]
     x, y = m_x - np.average(m_x, weights=weight), m_y - np.average(m_y, weights=weight)
     xx, xy, yy = (np.sum(weight * a) for a in (x * x, x * y, y * y))
-    return float(np.clip(radius, 4 / len(values), 1)), float(np.arctan2(2 * xy, xx - yy) / 2)
+    least = 4 * max(ndf.extent) / len(weight)
+    return float(np.clip(radius, least, 1)), float(np.arctan2(2 * xy, xx - yy) / 2)
 
 
-def _draw_disk(figure: Figure, ax: Axes, values: np.ndarray, radius: float) -> None:
+def _draw_disk(figure: Figure, ax: Axes, ndf: TabulatedNDF, radius: float) -> None:
+    x, y = ndf.extent
     image = ax.imshow(
-        values,
+        np.asarray(ndf.values),
         origin="lower",
-        extent=(-1, 1, -1, 1),
+        extent=(-x, x, -y, y),
         cmap="inferno",
         norm=PowerNorm(0.4),
         interpolation="antialiased",
@@ -64,17 +65,18 @@ def _draw_disk(figure: Figure, ax: Axes, values: np.ndarray, radius: float) -> N
 
 
 def _draw_slice(
-    ax: Axes, values: np.ndarray, fits: Mapping[str, FitResult], azimuth: float, reach: float
+    ax: Axes, ndf: TabulatedNDF, fits: Mapping[str, FitResult], azimuth: float, reach: float
 ) -> None:
     """D against the polar angle, on both sides of the normal."""
     limit = np.arcsin(min(reach, 0.999))
     theta = np.linspace(-limit, limit, 401)
     m = np.array(spherical(np.abs(theta), np.where(theta < 0, azimuth + np.pi, azimuth)))
-    n = len(values)
-    rows, columns = ((m[:, k] + 1) * n / 2 - 0.5 for k in (1, 0))
-    data = map_coordinates(values, [rows, columns], order=1, mode="nearest")
+    n = len(ndf.values)
+    rows, columns = ((m[:, k] / ndf.extent[k] + 1) * n / 2 - 0.5 for k in (1, 0))
+    data = map_coordinates(np.asarray(ndf.values), [rows, columns], order=1, mode="nearest")
+    measured = (data > 0) & np.all(np.abs(m[:, :2]) <= ndf.extent, axis=1)
     ax.semilogy(
-        np.rad2deg(theta), np.where(data > 0, data, np.nan), color="0.55", linewidth=2.5, label="measured"
+        np.rad2deg(theta), np.where(measured, data, np.nan), color="0.55", linewidth=2.5, label="measured"
     )
     for (name, fit), style in zip(fits.items(), ("-", "--", ":"), strict=False):
         if fit.success and isinstance(fit.model, AbstractNDF):

@@ -1,5 +1,6 @@
 """Tabulated distributions on the disk."""
 
+import h5py
 import numpy as np
 import pytest
 
@@ -19,6 +20,31 @@ def test_a_table_comes_back_bit_for_bit(tmp_path, shape):
         "1/sr",
         ("a.opd",),
     )
+
+
+def test_a_window_comes_back_bit_for_bit(tmp_path):
+    ndf = TabulatedNDF(np.ones((5, 5), np.float32), (0.1, 1 / 3))
+    write_ndf(tmp_path / "n.h5", ndf)
+    found = read_ndf(tmp_path / "n.h5")
+    assert found.extent == (0.1, 1 / 3)
+    assert found.values.dtype == np.float32
+    assert "extent" in str(read_about(tmp_path / "n.h5")["layout"])
+
+
+def test_a_table_written_before_there_were_windows_is_of_the_whole_disk(tmp_path):
+    write_ndf(tmp_path / "n.h5", TabulatedNDF(np.ones((5, 5)), (0.5, 0.5)))
+    with h5py.File(tmp_path / "n.h5", "r+") as file:
+        del file["ndf"].attrs["extent"]
+    assert read_ndf(tmp_path / "n.h5").extent == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("extent", [(0.5, 1.5), (0.5, 0.5, 0.5), "wide", 0.5])
+def test_a_window_that_is_none_is_damage(tmp_path, extent):
+    write_ndf(tmp_path / "n.h5", TabulatedNDF(np.ones((5, 5))))
+    with h5py.File(tmp_path / "n.h5", "r+") as file:
+        file["ndf"].attrs["extent"] = np.bytes_(extent) if isinstance(extent, str) else extent
+    with pytest.raises(DataError, match="arrays that belong together"):
+        read_ndf(tmp_path / "n.h5")
 
 
 def test_anything_else_is_refused(tmp_path):

@@ -231,7 +231,7 @@ PATCHES = {
     "version": (lambda file: file.attrs.modify("format_version", 2), "version 2"),
     "no version": (without("/", "format_version"), "damage"),
     "no class": (without("result/model", "class"), "'class'"),
-    "no text": (without("result", "recipe"), "'recipe'"),
+    "no text": (without("result", "parameters"), "'parameters'"),
     "no checksum": (without("result/cost", "crc32"), "damage"),
     "no result": (replaced("result"), "'result'"),
     "no field": (replaced("result/model/terms/1/alpha"), "'alpha'"),

@@ -66,6 +66,15 @@ def test_cells_without_a_value_do_not_count():
     assert np.isnan(result.residuals).any()
 
 
+def test_a_table_of_a_window_is_compared_in_its_cells():
+    truth, extent = Ellipsoid(0.004, 0.02, 0.003, -0.01, 0.2), (0.03, 0.1)
+    m = jnp.asarray(np.moveaxis(disk_cells(65, extent), 0, -1))
+    result = fit_ndf(GUESS, TabulatedNDF(truth._density(m), extent))
+    assert result.success
+    np.testing.assert_allclose(numbers(result), jax.tree.leaves(truth), rtol=1e-5)
+    assert result.residuals.shape == (65**2,)
+
+
 def test_fixed_parameters_stay():
     truth = Ellipsoid(0.06, 0.3, 0.0, 0.0, 0.6)
     guess = Ellipsoid(0.2, 0.2, 0.0, 0.0, 0.0)

@@ -145,6 +145,23 @@ def test_blur_by_a_measured_signature():
     assert kernel(signature.width / 2) == pytest.approx(3.5, rel=1e-3)
 
 
+def test_blur_of_a_window():
+    """That of the disk where nothing is left out; of cells of two lengths, a plain sum."""
+    spots = np.zeros((N, N))
+    spots[13:38, 13:38] = np.random.default_rng(2).random((25, 25))
+    small = blurred(TabulatedNDF(spots[13:38, 13:38], (25 / N, 25 / N)), WIDE)
+    assert small.extent == (25 / N, 25 / N)
+    whole = np.asarray(blurred(TabulatedNDF(spots), WIDE).values)
+    np.testing.assert_allclose(small.values, whole[13:38, 13:38], rtol=1e-12)
+
+    values, extent = np.random.default_rng(3).random((25, 25)), (0.8, 0.3)
+    m = disk_cells(25, extent).reshape(3, -1)
+    share = values.ravel() * (1.6 / 25) * (0.6 / 25) / m[2]
+    expected = gaussian(WIDE.width)(np.arccos(np.minimum(m.T @ m, 1))) @ share
+    found = np.ravel(blurred(TabulatedNDF(values, extent), WIDE).values)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
 def test_what_blur_keeps():
     """A constant far from the horizon; the area of a spot, and its width in degrees wherever it is."""
     m, solid_angle = cells(161)

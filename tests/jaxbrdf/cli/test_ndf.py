@@ -8,7 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from data_loaders import read_about, read_ndf, write_heightfield
-from jaxbrdf import Heightfield, facet_ndf, filtered_ndf, gaussian_surface, levelled
+from jaxbrdf import Heightfield, TabulatedNDF, facet_ndf, filtered_ndf, gaussian_surface, levelled
+from jaxbrdf.cli import ndf, ndf_pictures
 from jaxbrdf.cli.main import app
 
 
@@ -78,6 +79,22 @@ def test_other_methods_and_a_table_for_people(folder, surfaces):
     document = json.loads(kirchhoff.stdout)
     assert document["integral"] == pytest.approx(1, abs=0.1)
     assert document["wavelength"] == 2.0
+
+
+def test_a_table_of_a_window_is_told_of_and_drawn_like_the_disk():
+    values = np.zeros((65, 65))
+    x = np.arange(-12, 13) / 4
+    values[20:45, 20:45] = np.exp(-((x[None, :] - 0.5) ** 2) - (x[:, None] + x[None, :]) ** 2 / 3)
+    whole, window = TabulatedNDF(values), TabulatedNDF(values[20:45, 20:45], (25 / 65, 25 / 65))
+    told = [np.hstack(list(ndf._slopes(table).values())) for table in (window, whole)]
+    np.testing.assert_allclose(*told, rtol=1e-12)
+    assert ndf_pictures._spread(window) == pytest.approx(ndf_pictures._spread(whole), rel=1e-9)
+    figures = [ndf_pictures.overview(table, {}, "") for table in (window, whole)]
+    left, right = (figure.axes[1].lines[0].get_xydata() for figure in figures)
+    inside = np.isfinite(left[:, 1])
+    assert 0.2 < np.mean(inside) < 1
+    middle = np.abs(left[:, 0]) < 10  # degrees; what slices are smoothed by ends with the window
+    np.testing.assert_allclose(left[middle], right[middle], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,75 @@ def test_channels_trail(table):
     assert sample(rgb, jnp.full((4, 2), 0.3)).shape == (4, 3, 2)
 
 
+# Tables of a window
+
+
+@pytest.fixture(scope="module")
+def window():
+    """A table of a window of the disk, and the same cells amid a table of the whole disk."""
+    values = np.random.default_rng(8).random((33, 33))
+    whole = np.zeros((N, N))
+    whole[48:81, 48:81] = values
+    return jb.TabulatedNDF(values, (33 / N, 33 / N)), jb.TabulatedNDF(whole)
+
+
+def test_a_window_is_the_middle_of_a_table_of_the_disk(window):
+    small, whole = window
+    m = jb.spherical(jnp.linspace(0, 1.5, 200)[:, None], jnp.linspace(0.01, 6.2, 40))
+    assert_array_equal(small(m), whole(m))
+    assert 0.02 < np.mean(np.asarray(small(m)) > 0) < 0.5
+    w = jb.spherical(jnp.linspace(0, 3.1, 9), 0.7)
+    assert_allclose(projected_area(small, w), projected_area(whole, w), rtol=1e-11, atol=1e-14)
+    u = jax.random.uniform(jax.random.key(3), (500, 2))
+    assert_allclose(sample(small, u), sample(whole, u), atol=1e-10)
+    assert_allclose(visible_sample(small, u, w[4]), visible_sample(whole, u, w[4]), atol=1e-10)
+
+
+def test_a_window_whose_corners_leave_the_disk():
+    """Looked up, summed and drawn from in plain numpy; NaN outside the disk is ignored."""
+    n, extent = 20, np.array([0.9, 0.6])
+    values = 0.2 + np.random.default_rng(9).random((n, n))
+    m_x, m_y = np.meshgrid(*(e * cells(n)[0][0] for e in extent))
+    inside = m_x**2 + m_y**2 < 1
+    table = jb.TabulatedNDF(np.where(inside, values, np.nan), tuple(extent.tolist()))
+    normals = references.direction(*np.random.default_rng(10).random((2, 3000)) * [[1.5], [6.28]])
+    j, i = np.floor((normals[:, :2] + extent) / (2 * extent / n)).astype(int).T
+    within = (i >= 0) & (i < n) & (j >= 0) & (j < n)
+    i, j = np.where(within, i, 0), np.where(within, j, 0)
+    assert_array_equal(table(normals), np.where(within & inside[i, j], values[i, j], 0))
+    assert 0.1 < np.mean(within) < 0.9
+
+    m = np.stack([m_x, m_y, np.sqrt(1 - np.minimum(m_x**2 + m_y**2, 1))], axis=-1)[inside]
+    weight = values[inside] * (1.8 / n) * (1.2 / n)
+    w = references.direction(1.1, 0.8)
+    assert_allclose(projected_area(table, w), np.sum(np.maximum(m @ w, 0) * weight / m[:, 2]), rtol=1e-11)
+
+    drawn = np.asarray(sample(table, jax.random.uniform(jax.random.key(4), (50_000, 2))))
+    counts = np.histogram2d(drawn[:, 1], drawn[:, 0], n, [[-0.6, 0.6], [-0.9, 0.9]])[0]
+    full = np.hypot(np.abs(m_x) + 0.9 / n, np.abs(m_y) + 0.6 / n) < 1  # no corner to be drawn back from
+    expected = 50_000 * values / values[inside].sum()
+    assert counts.sum() == 50_000
+    assert chi2.sf(np.sum((counts - expected)[full] ** 2 / expected[full]), full.sum()) > 1e-3
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_samples_of_a_window_never_hit_an_empty_cell(dtype):
+    rng = np.random.default_rng(11)
+    values = (rng.random((65, 65)) < 0.1).astype(dtype)
+    table = jb.TabulatedNDF(values, (0.013, 0.37))
+    u = rng.random((4000, 2))
+    u[:2000, 0] = rng.integers(0, values.sum(), 2000) / values.sum()  # the very borders between two cells
+    u[1000:3000, 1] = rng.choice([0, 1 - np.finfo(dtype).epsneg], 2000)
+    m = sample(table, jnp.asarray(u, dtype))
+    assert_array_equal(eqx.filter_jit(jb.TabulatedNDF._density)(table, m), 1)
+
+
+@pytest.mark.parametrize("extent", [(0.5, 0.0), (-0.5, 1.0), (0.5, 1.01), (np.nan, 1.0), (0.5,)])
+def test_a_window_outside_the_disk_is_refused(extent):
+    with pytest.raises(ValueError, match="extent must be two numbers, each greater than 0 and at most 1"):
+        jb.TabulatedNDF(np.ones((5, 5)), extent)
+
+
 # The projected area in a table
 
 ALPHA, P = (jnp.asarray(a.ravel()) for a in np.meshgrid(np.geomspace(1e-5, 1, 6), [0.0, 0.5, 1.0, 1.5, 2.0]))
