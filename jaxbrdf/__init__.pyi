@@ -100,6 +100,7 @@ from .surface.heightfield import Heightfield
 from .surface.kirchhoff import coherent_patches, kirchhoff_brdf, kirchhoff_ndf, resolved_angle
 from .surface.levelling import levelled, without_outliers
 from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
+from .surface.patches import PatchNDFs, patch_ndfs
 from .surface.plane_fit import default_sigma
 from .surface.random_surface import gaussian_surface
 from .surface.visibility import virtual_goniometer, visibility, visible_facets
@@ -160,6 +161,7 @@ __all__ = [
     "Mixture",
     "Modulated",
     "OrenNayar",
+    "PatchNDFs",
     "Phong",
     "ResamplingError",
     "RoughMetal",
@@ -223,6 +225,7 @@ __all__ = [
     "metrics",
     "mixture",
     "normalized_l2",
+    "patch_ndfs",
     "preview",
     "reciprocity_error",
     "reflect",

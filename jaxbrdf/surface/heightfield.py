@@ -9,6 +9,14 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbrdf.arrays import floats
 
+Lengths = float | tuple[float, float]  # µm: of both axes, or (x, y)
+
+
+def pair(lengths: Lengths) -> tuple[float, float]:
+    """(x, y), of one number for both as well."""
+    x, y = np.broadcast_to(lengths, 2)
+    return float(x), float(y)
+
 
 def _as_mask(mask: ArrayLike | None) -> Array | None:
     return None if mask is None else jnp.asarray(mask, bool)

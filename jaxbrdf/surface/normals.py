@@ -103,6 +103,36 @@ def filtered_cells(
 
 
 @eqx.filter_jit
+def known_slopes(
+    heightfield: Heightfield, sigma: float
+) -> tuple[Float[Array, "ny nx"], Float[Array, "ny nx"], Bool[Array, "ny nx"]]:
+    """The slopes (q, r) of `plane_slopes` at every pixel, and where they count: where a height was measured
+    and a plane was found."""
+    q, r = plane_slopes(heightfield, sigma)
+    return q, r, heightfield.valid & jnp.isfinite(q)
+
+
+@eqx.filter_jit
+def slope_cells(
+    q: Float[Array, "..."],
+    r: Float[Array, "..."],
+    known: Bool[Array, "..."],
+    size: int,
+    extent: tuple[float, float] = (1.0, 1.0),
+) -> Int[Array, "..."]:
+    """The cell of the normal of slopes (q, r) in the flattened table of a window of the disk; N² where it is
+    not known, N² + 1 where it is outside the window."""
+    q, r = jnp.where(known, q, 0), jnp.where(known, r, 0)
+    scale = size / (2 * jnp.sqrt(1 + q**2 + r**2))
+    x, y = (t * scale / half for t, half in zip((q, r), extent, strict=True))
+    column, row = (jnp.clip((size / 2 - t).astype(jnp.int32), 0, size - 1) for t in (x, y))
+    cell = row * size + column
+    for t, half in zip((x, y), extent, strict=True):
+        cell = jnp.where(jnp.abs(t) > size / 2, size * size + 1, cell) if half < 1 else cell
+    return jnp.where(known, cell, size * size)
+
+
+@eqx.filter_jit
 def _filtered_normals(heightfield: Heightfield, sigma: float) -> Float[Array, "ny nx 3"]:
     q, r = plane_slopes(heightfield, sigma)
     return from_slopes(-q, -r)
@@ -113,20 +143,11 @@ def _facet_cells(heightfield: Heightfield, size: int):
     z, known = heightfield.z, heightfield.valid
     along_x, along_y = jnp.diff(z, axis=1) / heightfield.dx, jnp.diff(z, axis=0) / heightfield.dy
     square = known[:-1, :-1], known[:-1, 1:], known[1:, :-1], known[1:, 1:]
-    lower = _cells(along_x[:-1], along_y[:, :-1], square[0] & square[1] & square[2], size)
-    upper = _cells(along_x[1:], along_y[:, 1:], square[1] & square[2] & square[3], size)
+    lower = slope_cells(along_x[:-1], along_y[:, :-1], square[0] & square[1] & square[2], size)
+    upper = slope_cells(along_x[1:], along_y[:, 1:], square[1] & square[2] & square[3], size)
     return jnp.concatenate([lower.ravel(), upper.ravel()])
 
 
 @eqx.filter_jit
 def _filtered_cells(heightfield: Heightfield, size: int, sigma: float):
-    q, r = plane_slopes(heightfield, sigma)
-    return _cells(q, r, heightfield.valid & jnp.isfinite(q), size)
-
-
-def _cells(q: Float[Array, "..."], r: Float[Array, "..."], known: Bool[Array, "..."], size: int):
-    """The cell of the normal of slopes (q, r)."""
-    q, r = jnp.where(known, q, 0), jnp.where(known, r, 0)
-    scale = size / (2 * jnp.sqrt(1 + q**2 + r**2))
-    column, row = (jnp.clip((size / 2 - t * scale).astype(jnp.int32), 0, size - 1) for t in (q, r))
-    return jnp.where(known, row * size + column, size * size)
+    return slope_cells(*known_slopes(heightfield, sigma), size)

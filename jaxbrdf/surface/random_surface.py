@@ -8,9 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxbrdf.surface.heightfield import Heightfield
-
-Lengths = float | tuple[float, float]
+from jaxbrdf.surface.heightfield import Heightfield, Lengths, pair
 
 # Correlation against r² = (x/τ_x)² + (y/τ_y)².
 _DECAYS: Mapping = MappingProxyType(
@@ -34,7 +32,7 @@ def gaussian_surface(
     Raises ValueError for lengths that are not positive, another decay, a τ below two pixels, which the map
     does not resolve, and one above a quarter of the map, which it does not hold.
     """
-    pixels, lengths = _pair(dx), _pair(correlation)
+    pixels, lengths = pair(dx), pair(correlation)
     _check(shape, pixels, lengths, rms, decay)
     x, y = (
         size * np.minimum(np.arange(n), n - np.arange(n)) / tau
@@ -46,11 +44,6 @@ def gaussian_surface(
     noise = jax.random.normal(key, shape, jnp.result_type(float))
     z = jnp.fft.irfft2(jnp.fft.rfft2(noise) * jnp.sqrt(jnp.asarray(power, noise.dtype)), shape)
     return Heightfield(z, *pixels)
-
-
-def _pair(lengths: Lengths) -> tuple[float, float]:
-    x, y = np.broadcast_to(lengths, 2)
-    return float(x), float(y)
 
 
 def _check(shape, pixels, lengths, rms, decay) -> None:
