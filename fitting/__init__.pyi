@@ -7,6 +7,7 @@ from .least_squares import nonnegative_least_squares
 from .losses import LOSSES, Loss, compressed, robust
 from .masking_approximation import fit_masking
 from .minimize import Minimum, minimize
+from .patches import fit_ndf_patches
 from .recipes import RECIPES, fit_shifted_gamma, fit_two_slice
 from .reflectance import fit_losses, fit_reflectance
 
@@ -24,6 +25,7 @@ __all__ = [
     "fit_losses",
     "fit_masking",
     "fit_ndf",
+    "fit_ndf_patches",
     "fit_reflectance",
     "fit_shifted_gamma",
     "fit_two_slice",

@@ -1,9 +1,10 @@
 r"""Fits of any distribution of normals to a tabulated one.
 
-    E² = Σ_cells (D(m) − T)² dA,   dA = (2/N)²
+    E² = Σ_cells (D(m) − T)² dA,   dA the area of a cell on the disk
 
-over the cells of the unit disk, empty ones too: they say where no normals are. Starts are tried at some of
-the cells, drawn by what they hold; the best is refined at all.
+over the cells of the disk, empty ones too: they say where no normals are; or the likelihood of the normals
+that were counted in them. Starts are tried at some of the cells, drawn by what they hold; the best is refined
+at all.
 """
 
 from typing import NamedTuple
@@ -12,144 +13,177 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from fitting.covariance import sandwich
 from fitting.least_squares import LaneSolutions, map_lanes, solve_lanes
 from fitting.model_space import ModelSpace, model_space
-from fitting.outcome import Outcome, means_nothing, statuses, warn_of_float32
+from fitting.outcome import Outcome, joined, means_nothing, statuses, warn_of_float32
 from fitting.parameters import unit_grid
-from fitting.starts import grid_minima
-from jaxbrdf.arrays import channel_count
+from fitting.starts import grid_minima, lowest
+from fitting.table_loss import TableLoss, table_loss
+from fitting.tables import FEWEST, Cells, cells_of, check, in_parts
 from jaxbrdf.fit_result import FitResult
 from jaxbrdf.ndf.base import AbstractNDF
-from jaxbrdf.ndf.tabulated import TabulatedNDF, disk_cells
+from jaxbrdf.ndf.tabulated import TabulatedNDF
 from jaxbrdf.special import safe_divide
 
 _SOME = 16384  # cells at which starts are tried
 _GRID = 256  # shapes to start from
-_FEWEST = 8  # cells that hold something
 _EDGE = 1e-4  # shares of a range nearer than this to its end are on the bound
 
 
-class Cells(NamedTuple):
-    """Cells of a table: their normals, √dA so scaled that the table alone has Σ r² = 100, and values."""
+class Problem(NamedTuple):
+    """What tables on one grid have in common, and the tables: `scale` is what their residuals are multiplied
+    by, table by table, and cell by cell where these are drawn."""
 
+    space: ModelSpace
+    loss: TableLoss
     m: Float[np.ndarray, "K 3"]
-    root: Float[np.ndarray, " K"]
-    values: Float[np.ndarray, " K"]
+    area: float
+    values: Float[np.ndarray, "B K"]
+    scale: Float[np.ndarray, "B k"]
 
-    def some(self) -> "Cells":
-        """Some of them, half drawn evenly and half by what they hold, and weighed by how rarely."""
-        count = len(self.values)
-        if count <= _SOME:
+    @property
+    def lanes(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.values, self.scale
+
+    @property
+    def shared(self) -> tuple[ModelSpace, TableLoss, np.ndarray]:
+        return self.space, self.loss, self.m
+
+    def some(self) -> "Problem":
+        """Some of the cells of a large table, half drawn evenly and half by what they hold, and weighed by
+        how rarely."""
+        count = len(self.m)
+        if count <= _SOME or len(self.values) > 1:
             return self
-        held = self.root**2 * self.values**2 + 1e-300  # evenly where nothing is held at all
+        held = np.nan_to_num(self.values[0]) ** 2 + 1e-300  # evenly where nothing is held at all
         chance = 0.5 / count + 0.5 * held / held.sum()
         rows = np.sort(np.random.default_rng(0).choice(count, _SOME, p=chance / chance.sum()))
-        return Cells(self.m[rows], self.root[rows] / np.sqrt(_SOME * chance[rows]), self.values[rows])
+        scale = self.scale / np.sqrt(_SOME * chance[rows])[None, :]
+        return self._replace(m=self.m[rows], values=self.values[:, rows], scale=scale)
 
 
 def fit_ndf(
-    model: AbstractNDF, table: TabulatedNDF, *, fixed: tuple[str, ...] = (), starts: int = 3
+    model: AbstractNDF,
+    table: TabulatedNDF,
+    *,
+    loss: str = "l2",
+    fixed: tuple[str, ...] = (),
+    starts: int = 3,
 ) -> FitResult:
-    r"""Fit a distribution to a table, (N, N), or to each of a stack, (B, N, N), by area-weighted L2.
+    r"""Fit a distribution to a table, (N, N), or to each of a stack, (B, N, N).
 
-    `model` is any distribution whose parameters have values: these are one start; others are what its class
-    makes of the table (`AbstractNDF.guesses`) and up to `starts` minima over a grid of its shapes. Sought are
-    the parameters with a declared range, within it, but for those named in `fixed`. Cells that are NaN do not
-    count. The result has leaves () or (B,); `residuals` are D − T in the cells of the disk, row by row, NaN
-    where the table has none, `cost` is 50 E² / Σ T² dA; `covariance` is the sandwich estimate.
+    `loss` is 'l2', E² above, or 'likelihood', for tables that are counts of normals: KL = Σ (T log(T/D) − T +
+    D) dA, by which the log-likelihood of each normal is below its highest value. `model` is any distribution
+    whose parameters have values: these are one start; others are what its class makes of the table
+    (`AbstractNDF.guesses`) and up to `starts` minima over a grid of its shapes. Sought are the parameters
+    with a declared range, within it, but for those named in `fixed`. Cells that are NaN do not count. The
+    result has leaves () or (B,); `residuals` are D − T in the cells of the disk, row by row, NaN where the
+    table has none, `cost` is 50 E² / Σ T² dA, or 100 KL; `covariance` is the sandwich estimate. For many
+    small tables `fit_ndf_patches` is faster.
 
-    Raises ValueError for a model with channels, for a table with channels, a name in `fixed` that fits none,
-    and a model without unknowns. A table that cannot be fitted is a status.
+    Raises ValueError for a model with channels, for a table with channels, an unknown loss, a name in `fixed`
+    that fits none, and a model without unknowns. A table that cannot be fitted is a status.
     """
-    tables = np.asarray(table.values)
-    if channel_count(model) is not None or tables.shape[-1] != tables.shape[-2]:
-        raise ValueError("fit_ndf takes one distribution and tables without channels: fit each channel apart")
+    check(model, table)
     warn_of_float32()
     space, given, _ = model_space(model, fixed)
-    stack = tables.reshape(-1, *tables.shape[-2:])
-    found = [_fit_table(space, given, values, table.extent, starts) for values in stack]
-    together = Outcome(*[np.stack(part) for part in zip(*found, strict=True)])
-    if tables.ndim == 2:
+    one_by_one = (row[None] for part in in_parts(table) for row in part)
+    found = [fit_lanes(space, given, cells_of(table), row, table_loss(loss), starts) for row in one_by_one]
+    together = joined(found)
+    if table.values.ndim == 2:
         together = Outcome(*[part.reshape(part.shape[1:]) for part in together])
-    else:
-        model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(stack), *jnp.shape(leaf))), model)
-    numbers, status, cost, steps, covariance, residuals = together
-    fitted = space.fitted(model, jnp.asarray(numbers))
-    return FitResult(fitted, status, cost, steps, covariance, residuals, space.names, "area-weighted L2")
+    return as_result(model, space, together, table_loss(loss))
 
 
-def _fit_table(
-    space: ModelSpace, given: np.ndarray, values: np.ndarray, extent: tuple[float, float], starts: int
+def as_result(model: AbstractNDF, space: ModelSpace, outcome: Outcome, loss: TableLoss) -> FitResult:
+    """The record of a fit of one table, or of a stack."""
+    batch = np.shape(outcome.status)
+    model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*batch, *jnp.shape(leaf))), model)
+    return outcome.result(space.fitted(model, jnp.asarray(outcome.numbers)), space.names, loss.name)
+
+
+def fit_lanes(
+    space: ModelSpace, given: np.ndarray, cells: Cells, values: np.ndarray, loss: TableLoss, starts: int
 ) -> Outcome:
-    m = disk_cells(len(values), extent).reshape(3, -1)
-    inside = m[2] > 0
-    held = values.reshape(-1)[inside]
-    known = np.isfinite(held)
-    total = np.sum(np.where(known, held, 0) ** 2)
-    root = np.where(known, 10 / np.sqrt(total if total > 0 else 1), 0)
-    cells = Cells(m.T[inside], root, np.where(known, held, 0))
-    found = _minimum(space, given, cells, starts)
-    numbers, covariance, residuals = (part[0] for part in map_lanes(_describe, found.t, (space, cells)))
+    """What came of each of some tables, (B, K)."""
+    problem = Problem(space, loss, *cells, values, loss.scale(values, cells.area)[:, None])
+    found = _minima(problem, given, starts)
+    numbers, covariance, residuals = map_lanes(_describe, (found.t, values), problem.shared)
     code = statuses(
-        enough=np.array([np.sum(cells.values > 0) >= _FEWEST]),
-        finite=np.isfinite(found.cost) & np.all(np.isfinite(numbers)),
-        no_lobe=np.array([False]),
+        enough=np.sum(values > 0, axis=1) >= FEWEST,
+        finite=np.isfinite(found.cost) & np.all(np.isfinite(numbers), axis=1),
+        no_lobe=np.zeros(len(values), bool),
         converged=found.converged,
         on_bound=np.any((found.t < _EDGE) | (found.t > 1 - _EDGE), axis=1),
     )
-    numbers = np.where(means_nothing(code), np.nan, numbers)
-    residuals = np.where(known, residuals, np.nan)
-    return Outcome(numbers, code[0], found.cost[0], found.steps[0], covariance, residuals)
+    numbers = np.where(means_nothing(code)[:, None], np.nan, numbers)
+    return Outcome(numbers, code, found.cost, found.steps, covariance, residuals)
 
 
-def _minimum(space: ModelSpace, given: np.ndarray, cells: Cells, starts: int) -> LaneSolutions:
-    """The lowest minimum that the starts lead to, of one lane."""
-    few = cells.some()
-    u = np.concatenate([given, _guesses(space, few), _grid_starts(space, few, starts)])
-    tried = solve_lanes(_residual, np.clip(u, 0, 1), np.zeros(len(u)), (space, few), (0, 1), tolerance=1e-3)
-    best = np.argmin(np.nan_to_num(tried.cost, nan=np.inf))
-    found = solve_lanes(_residual, tried.t[[best]], np.zeros(1), (space, cells), (0, 1))
+def _minima(problem: Problem, given: np.ndarray, starts: int) -> LaneSolutions:
+    """The lowest minimum that the starts of each table lead to."""
+    few = problem.some()
+    lane, u = _starts(few, given, starts)
+    lanes = [part[lane] for part in few.lanes]
+    tried = solve_lanes(_residual, np.clip(u, 0, 1), lanes, few.shared, (0, 1), tolerance=1e-3)
+    best = lowest(tried.cost, lane, len(problem.values))
+    found = solve_lanes(_residual, tried.t[best], problem.lanes, problem.shared, (0, 1))
     return eqx.tree_at(lambda f: f.steps, found, found.steps + tried.steps[best])
 
 
-def _guesses(space: ModelSpace, cells: Cells) -> np.ndarray:
+def _starts(few: Problem, given: np.ndarray, most: int) -> tuple[Int[np.ndarray, " S"], np.ndarray]:
+    """Where to start: tables (S,) and shares (S, n)."""
+    n, count = len(few.space.shapes), len(few.values)
+    grid = unit_grid(_GRID, n)
+    errors = np.asarray(_errors(grid, few.shared, few.lanes)).T
+    lane, point = grid_minima(np.where(np.isfinite(errors), errors, np.inf), n, most)
+    guesses = [_guesses(few, k) for k in range(count)]
+    own = np.repeat(np.arange(count), [len(given) + len(guess) for guess in guesses])
+    starts = [part for guess in guesses for part in (given, guess)]
+    return np.append(own, lane), np.concatenate([*starts, grid[point]])
+
+
+def _guesses(few: Problem, k: int) -> np.ndarray:
     """What the distribution's own class makes of a table, as shares of the ranges (S, n)."""
-    prototype = space.prototype
+    prototype = few.space.prototype
     assert isinstance(prototype, AbstractNDF)
-    models = type(prototype).guesses(cells.m, cells.values, cells.root**2)
-    return np.array([space.shares_of(model) for model in models]).reshape(-1, len(space.shapes))
-
-
-def _grid_starts(space: ModelSpace, cells: Cells, most: int) -> np.ndarray:
-    grid = unit_grid(_GRID, len(space.shapes))
-    errors = np.asarray(_errors(grid, space, cells))
-    return grid[grid_minima(np.where(np.isfinite(errors), errors, np.inf)[None], len(space.shapes), most)[1]]
+    weight = np.broadcast_to(few.scale[k] ** 2, len(few.m))
+    models = type(prototype).guesses(few.m, np.nan_to_num(few.values[k]), weight)
+    return np.array([few.space.shares_of(model) for model in models]).reshape(-1, len(few.space.shapes))
 
 
 @eqx.filter_jit
-def _errors(grid, space: ModelSpace, cells: Cells):
-    def error(u):
-        return jnp.sum(_residual(u, (0, (space, cells))) ** 2)
+def _errors(grid, shared, lanes):
+    """Σ r² of each shape of a grid with each table, (G, B)."""
+    space, loss, m = shared
 
-    return jax.lax.map(error, jnp.asarray(grid))
+    def error(D, values, scale):
+        return jnp.sum((scale * loss.residual(D, values)) ** 2)
+
+    def errors(u):
+        return jax.vmap(error, (None, 0, 0))(_density(u, space, m), *lanes)
+
+    return jax.lax.map(errors, jnp.asarray(grid))
 
 
 def _residual(u, args):
-    _, (space, cells) = args
-    return cells.root * (_density(u, space, cells.m) - cells.values)
+    (values, scale), (space, loss, m) = args
+    return scale * loss.residual(_density(u, space, m), values)
 
 
 def _density(u, space: ModelSpace, m) -> Float[Array, " K"]:
     return space.model(u, jnp.zeros(0), [])._density(m)
 
 
-def _describe(u, shared):
+def _describe(lane, shared):
     """The parameters, their covariance, and D − T."""
-    space, cells = shared
+    (u, values), (space, loss, m) = lane, shared
     slope = jnp.where((u < _EDGE) | (u > 1 - _EDGE), 0, safe_divide(1.0, space.slopes(u)))
-    difference = _density(u, space, cells.m) - cells.values
-    jacobian = jax.jacfwd(_density)(u, space, cells.m) * slope[None, :]
-    return space.shape_values(u), sandwich(jacobian, difference, cells.root**2), difference
+    D = _density(u, space, m)
+    jacobian = jax.jacfwd(_density)(u, space, m) * slope[None, :]
+    difference = jnp.nan_to_num(D - values)
+    covariance = sandwich(jacobian, difference, loss.weight(D, values))
+    return space.shape_values(u), covariance, D - values

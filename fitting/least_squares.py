@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 _BLOCKS = (1, 4, 16)  # lanes: one, one material alone, or many
+_SINGULAR = 1e-14  # what is added to a Gram matrix of unit diagonal, whose rounding may make it indefinite
 _INSIDE = 0.01  # how far from a bound a t is set that should not be on it
 
 
@@ -86,17 +87,33 @@ def solve_lanes(
     starts at λ = 1. A t that steps beyond a bound counts as on it and stays there for the round; where the
     error then falls inwards, it is set back inside for the next.
     """
+    limits = steps_a_round, rounds, tolerance
+    return solve_grams(_gram_of(residual), start, lanes, shared, bounds, _block_size(len(start)), *limits)
+
+
+def solve_grams(
+    gram: Callable[[Array, Any], Array],
+    start: Float[np.ndarray, "L n"],
+    lanes: Any,
+    shared: Any = None,
+    bounds: tuple[ArrayLike, ArrayLike] = (-np.inf, np.inf),
+    block: int = 256,
+    steps_a_round: int = 12,
+    rounds: int = 10,
+    tolerance: float = 1e-6,
+) -> LaneSolutions:
+    """`solve_lanes` of residuals r with Jacobians J of which only gram(t, (lane, shared)) = [J r]ᵀ[J r],
+    (n + 1, n + 1), is at hand; `block` is how many lanes run at once."""
     t, n = np.array(start), start.shape[1]
     low, high = (np.broadcast_to(np.asarray(bound, float), n) for bound in bounds)
     cost, steps = np.full(len(t), np.nan), np.zeros(len(t), int)
     converged = np.zeros(len(t), bool)
-    block = _block_size(len(t))
     open_lanes = np.arange(len(t))
     for _ in range(rounds):
         if not len(open_lanes):
             break
         chosen = (t[open_lanes], _rows(lanes, open_lanes))
-        found = map_lanes(_one_round(residual, steps_a_round, tolerance), chosen, (shared, low, high), block)
+        found = map_lanes(_one_round(gram, steps_a_round, tolerance), chosen, (shared, low, high), block)
         t[open_lanes], freed = _set_back(found[0], found[4], low, high)
         cost[open_lanes] = found[1]
         steps[open_lanes] += found[2]
@@ -114,14 +131,14 @@ def _set_back(t, gradient, low, high):
 
 
 @lru_cache
-def _one_round(residual, max_steps, tolerance):
+def _one_round(gram, max_steps, tolerance):
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
 
-    def bounded(t, args):
+    def factor(t, args):
         data, (shared, low, high) = args
-        return residual(jnp.clip(t, low, high), (data, shared))
+        free = jnp.append((t >= low) & (t <= high), True)  # the derivative of clip
+        return _factor(gram(jnp.clip(t, low, high), (data, shared)) * jnp.outer(free, free))
 
-    factor = _factor(bounded)
     few = _compressed(factor)
 
     def solve(lane, shared):
@@ -139,19 +156,24 @@ def _one_round(residual, max_steps, tolerance):
     return solve
 
 
-def _factor(residual):
-    r"""R (n + 1, n + 1), upper triangular, with RᵀR = [J r]ᵀ[J r] for N residuals r of n unknowns."""
+@lru_cache
+def _gram_of(residual):
+    """[J r]ᵀ[J r] of N residuals r of n unknowns."""
 
-    def factor(t, args):
+    def gram(t, args):
         J, r = jax.jacfwd(lambda t: (residual(t, args),) * 2, has_aux=True)(t)
         columns = jnp.concatenate([J.T, r[None, :]])
-        gram = columns @ columns.T
-        squares = jnp.diagonal(gram)
-        scale = jnp.sqrt(jnp.where(squares > 0, squares, 1))
-        correlation = gram / jnp.outer(scale, scale) + 1e-14 * jnp.eye(len(scale), dtype=gram.dtype)
-        return jnp.linalg.cholesky(correlation).T * (scale * (squares > 0))[None, :]
+        return columns @ columns.T
 
-    return factor
+    return gram
+
+
+def _factor(gram):
+    """R, upper triangular, with RᵀR = [J r]ᵀ[J r]."""
+    squares = jnp.diagonal(gram)
+    scale = jnp.sqrt(jnp.where(squares > 0, squares, 1))
+    correlation = gram / jnp.outer(scale, scale) + _SINGULAR * jnp.eye(len(scale), dtype=gram.dtype)
+    return jnp.linalg.cholesky(correlation).T * (scale * (squares > 0))[None, :]
 
 
 def _compressed(factor):
@@ -200,4 +222,6 @@ def _compiled(function):
 
 
 def _rows(lanes, which):
-    return jax.tree.map(lambda a: np.asarray(a)[which], lanes)
+    """Some of the lanes; without copying where they lie side by side."""
+    at = slice(which[0], which[-1] + 1) if which[-1] - which[0] + 1 == len(which) else which
+    return jax.tree.map(lambda a: np.asarray(a)[at], lanes)

@@ -1,13 +1,15 @@
 """How fits ended, and a word on the precision they ran in."""
 
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxbrdf.fit_result import FitStatus
+from jaxbrdf.fit_result import FitResult, FitStatus
 
 
 class Outcome(NamedTuple):
@@ -19,6 +21,20 @@ class Outcome(NamedTuple):
     steps: Int[np.ndarray, "..."]
     covariance: Float[np.ndarray, "... n n"]
     residuals: Float[np.ndarray, "... N"]
+
+    def without_residuals(self) -> "Outcome":
+        """Of many fits residuals are as large as all that was measured."""
+        return self._replace(residuals=np.zeros((*np.shape(self.status), 0)))
+
+    def result(self, model: eqx.Module, names: tuple[str, ...], recipe: str) -> FitResult:
+        """The record of it; `numbers` are those of the model."""
+        _, status, cost, steps, covariance, residuals = self
+        return FitResult(model, status, cost, steps, covariance, residuals, names, recipe)
+
+
+def joined(parts: Sequence[Outcome]) -> Outcome:
+    """The outcomes of lanes that were fitted some at a time."""
+    return Outcome(*[np.concatenate(part) for part in zip(*parts, strict=True)])
 
 
 def statuses(

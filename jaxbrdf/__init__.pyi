@@ -66,7 +66,7 @@ from .metrics import Comparison, compare, normalized_l2
 from .ndf.base import AbstractIsotropicNDF, AbstractNDF, AbstractVisibleNDF
 from .ndf.beckmann import Beckmann
 from .ndf.blinn_phong import AnisotropicPhong, BlinnPhong
-from .ndf.ellipsoid import Ellipsoid
+from .ndf.ellipsoid import Ellipsoid, aligned
 from .ndf.exponential import Exponential
 from .ndf.gaussian_microfacets import GaussianCylinder, GaussianMicrofacets
 from .ndf.grooves import VGrooves
@@ -189,6 +189,7 @@ __all__ = [
     "Ward",
     "WardDuer",
     "albedo",
+    "aligned",
     "as_adaptive",
     "as_samples",
     "as_table",
