@@ -102,6 +102,7 @@ from .surface.levelling import levelled, without_outliers
 from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
 from .surface.plane_fit import default_sigma
 from .surface.random_surface import gaussian_surface
+from .surface.texture import synthesize_texture, texture_like
 from .surface.visibility import virtual_goniometer, visibility, visible_facets
 
 __all__ = [
@@ -233,8 +234,10 @@ __all__ = [
     "scattering_wavelength",
     "smith_G1",
     "spherical",
+    "synthesize_texture",
     "tabulate_projected_area",
     "tabulate_reflectance",
+    "texture_like",
     "to_frame",
     "to_half_difference",
     "to_spherical",
