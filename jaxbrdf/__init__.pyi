@@ -27,6 +27,7 @@ from .brdf.oren_nayar import OrenNayar
 from .brdf.phong import BlinnPhongBRDF, Phong
 from .brdf.rough_metal import RoughMetal
 from .brdf.shifted_gamma import ShiftedGammaBRDF
+from .brdf.spatially_varying import SpatiallyVaryingBRDF
 from .brdf.ward import Ward, WardDuer
 from .checks import energy_excess, reciprocity_error
 from .directions import (
@@ -174,6 +175,7 @@ __all__ = [
     "SlantedVelvet",
     "Slices",
     "SmoothABC",
+    "SpatiallyVaryingBRDF",
     "StudentT",
     "Sum",
     "Surroundings",

@@ -62,7 +62,7 @@ def test_correlation_is_a_product_of_one_along_each_axis(from_strips):
 
 
 def test_rows_and_columns_keep_means_of_their_own(from_strips):
-    """Their variance is σ² Σ C / n, a little less as spectra fall before 1/n; not 0, as of mean-free strips."""
+    """Their variance is σ² Σ C / n, a little less as spectra fall before 1/n; of mean-free strips 0."""
     z = from_strips[2] - from_strips[2].mean(axis=(1, 2), keepdims=True)
     for axis, length in ((2, 5.0), (1, 2.0)):
         n = z.shape[axis]
