@@ -47,7 +47,9 @@ class SpatiallyVaryingBRDF(eqx.Module):
         """
         wi, wo = as_directions(wi, "wi"), as_directions(wo, "wo")
         components = [w[..., k] for w in (wi, wo) for k in range(3)]
-        return in_chunks(self._at_point, floats(u), floats(v), *components)
+        # What a gradient needs of each point is computed again: to keep it took twice the time and memory.
+        at_point = jax.checkpoint(lambda *point: self._at_point(*point))
+        return in_chunks(at_point, floats(u), floats(v), *components)
 
     def at(self, u: ArrayLike, v: ArrayLike) -> AbstractBRDF:
         """The model at a point; for u, v (...), which broadcast, a batch of models, to be vmapped over.
