@@ -27,6 +27,7 @@ from .brdf.oren_nayar import OrenNayar
 from .brdf.phong import BlinnPhongBRDF, Phong
 from .brdf.rough_metal import RoughMetal
 from .brdf.shifted_gamma import ShiftedGammaBRDF
+from .brdf.spatially_varying import SpatiallyVaryingBRDF
 from .brdf.ward import Ward, WardDuer
 from .checks import energy_excess, reciprocity_error
 from .directions import (
@@ -103,6 +104,7 @@ from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
 from .surface.patches import PatchNDFs, patch_ndfs
 from .surface.plane_fit import default_sigma
 from .surface.random_surface import gaussian_surface
+from .surface.texture import synthesize_texture, texture_like
 from .surface.visibility import virtual_goniometer, visibility, visible_facets
 
 __all__ = [
@@ -175,6 +177,7 @@ __all__ = [
     "SlantedVelvet",
     "Slices",
     "SmoothABC",
+    "SpatiallyVaryingBRDF",
     "StudentT",
     "Sum",
     "Surroundings",
@@ -237,8 +240,10 @@ __all__ = [
     "scattering_wavelength",
     "smith_G1",
     "spherical",
+    "synthesize_texture",
     "tabulate_projected_area",
     "tabulate_reflectance",
+    "texture_like",
     "to_frame",
     "to_half_difference",
     "to_spherical",

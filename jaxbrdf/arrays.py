@@ -187,9 +187,14 @@ def declared(model: Any, path: tuple) -> Mapping[str, Any]:
 
 
 def in_chunks(function: Callable, *arrays: Array, size: int = 8192) -> Array:
-    """`function`, of scalars, at each element of arrays of one shape, at most `size` elements at once."""
+    """`function`, of scalars, at each element of arrays, which broadcast; at most `size` elements at once.
+
+    Axes of its own results come last.
+    """
     shape = jnp.broadcast_shapes(*(jnp.shape(a) for a in arrays))
     flat = [jnp.broadcast_to(a, shape).reshape(-1) for a in arrays]
     if flat[0].size <= size:
-        return jax.vmap(function)(*flat).reshape(shape)
-    return jax.lax.map(lambda xs: function(*xs), tuple(flat), batch_size=size).reshape(shape)
+        each = jax.vmap(function)(*flat)
+    else:
+        each = jax.lax.map(lambda xs: function(*xs), tuple(flat), batch_size=size)
+    return each.reshape(shape + each.shape[1:])
