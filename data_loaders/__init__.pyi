@@ -10,6 +10,7 @@ from .json_record import fit_to_json
 from .merl import read_merl, read_merl_slices, write_merl
 from .minidiff import read_minidiff
 from .ndf_file import read_ndf, write_ndf
+from .ndf_map_file import read_ndf_maps, write_ndf_maps
 from .optical_constants import OpticalConstants, conductor_from_colour, optical_constants
 from .published import published, published_materials, published_parameters
 from .rgl import read_rgl, write_rgl
@@ -36,6 +37,7 @@ __all__ = [
     "read_merl_slices",
     "read_minidiff",
     "read_ndf",
+    "read_ndf_maps",
     "read_rgl",
     "recognise",
     "save_fit",
@@ -48,5 +50,6 @@ __all__ = [
     "write_heightfield",
     "write_merl",
     "write_ndf",
+    "write_ndf_maps",
     "write_rgl",
 ]

@@ -45,7 +45,7 @@ class Kind(NamedTuple):
 def write_record(
     path: AnyPath,
     kind: Kind,
-    record: eqx.Module,
+    record: eqx.Module | tuple,
     source: Source = None,
     about: Mapping[str, str | float] = MappingProxyType({}),
 ) -> None:

@@ -55,11 +55,11 @@ def read_whole(path: AnyPath, kind: Kind, classes: Any, name: str) -> Any:
     record = read_record(path, kind)
     if not isinstance(record, classes):
         raise DataError(path, f"a {name}", f"a {type(record).__name__}")
-    _check_shapes(path, record)
+    check_shapes(path, record)
     return record
 
 
-def _check_shapes(path: AnyPath, record: eqx.Module) -> None:
+def check_shapes(path: AnyPath, record: eqx.Module) -> None:
     """What the class itself asks of its arrays, which reading leaves out."""
     try:
         for cls in type(record).__mro__:

@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from fitting.covariance import sandwich
-from fitting.least_squares import LaneSolutions, map_lanes, solve_lanes
+from fitting.least_squares import LaneSolutions, map_lanes, solve_grams
 from fitting.model_space import ModelSpace, model_space
 from fitting.outcome import Outcome, joined, means_nothing, statuses, warn_of_float32
 from fitting.parameters import unit_grid
 from fitting.starts import grid_minima, lowest
-from fitting.table_loss import TableLoss, table_loss
+from fitting.table_loss import TableLoss, difference, table_loss
 from fitting.tables import FEWEST, Cells, cells_of, check, in_parts
 from jaxbrdf.fit_result import FitResult
 from jaxbrdf.ndf.base import AbstractNDF
@@ -128,9 +128,9 @@ def _minima(problem: Problem, given: np.ndarray, starts: int) -> LaneSolutions:
     few = problem.some()
     lane, u = _starts(few, given, starts)
     lanes = [part[lane] for part in few.lanes]
-    tried = solve_lanes(_residual, np.clip(u, 0, 1), lanes, few.shared, (0, 1), tolerance=1e-3)
+    tried = solve_grams(_gram, np.clip(u, 0, 1), lanes, few.shared, (0, 1), tolerance=1e-3)
     best = lowest(tried.cost, lane, len(problem.values))
-    found = solve_lanes(_residual, tried.t[best], problem.lanes, problem.shared, (0, 1))
+    found = solve_grams(_gram, tried.t[best], problem.lanes, problem.shared, (0, 1))
     return eqx.tree_at(lambda f: f.steps, found, found.steps + tried.steps[best])
 
 
@@ -157,11 +157,11 @@ def _guesses(few: Problem, k: int) -> np.ndarray:
 
 @eqx.filter_jit
 def _errors(grid, shared, lanes):
-    """Σ r² of each shape of a grid with each table, (G, B)."""
+    """What is minimised, of each shape of a grid with each table, (G, B)."""
     space, loss, m = shared
 
     def error(D, values, scale):
-        return jnp.sum((scale * loss.residual(D, values)) ** 2)
+        return jnp.sum(scale**2 * loss.loss(D, values))
 
     def errors(u):
         return jax.vmap(error, (None, 0, 0))(_density(u, space, m), *lanes)
@@ -169,9 +169,10 @@ def _errors(grid, shared, lanes):
     return jax.lax.map(errors, jnp.asarray(grid))
 
 
-def _residual(u, args):
+def _gram(u, args):
     (values, scale), (space, loss, m) = args
-    return scale * loss.residual(_density(u, space, m), values)
+    J, D = jax.jacfwd(lambda u: (_density(u, space, m),) * 2, has_aux=True)(u)
+    return loss.gram(D, values, J, scale)
 
 
 def _density(u, space: ModelSpace, m) -> Float[Array, " K"]:
@@ -184,6 +185,5 @@ def _describe(lane, shared):
     slope = jnp.where((u < _EDGE) | (u > 1 - _EDGE), 0, safe_divide(1.0, space.slopes(u)))
     D = _density(u, space, m)
     jacobian = jax.jacfwd(_density)(u, space, m) * slope[None, :]
-    difference = jnp.nan_to_num(D - values)
-    covariance = sandwich(jacobian, difference, loss.weight(D, values))
+    covariance = sandwich(jacobian, difference(D, values), loss.weight(D, values))
     return space.shape_values(u), covariance, D - values

@@ -12,6 +12,8 @@ ellipsoid in one way: around a start μ_0, G_0⁻¹ = W_0ᵀW_0, with W and W_0 
 so that t is free of units, unbounded, and 0 at the start.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from fitting.covariance import sandwich_of
 from fitting.least_squares import LaneSolutions, map_lanes, solve_grams
 from fitting.outcome import Outcome, means_nothing, statuses
-from fitting.table_loss import TableLoss
+from fitting.table_loss import TableLoss, bordered, difference
 from fitting.tables import FEWEST, Cells, cells_of, in_parts
 from jaxbrdf.arrays import fitted_ranges
 from jaxbrdf.fit_result import FitResult
@@ -31,7 +33,9 @@ from jaxbrdf.ndf.tabulated import TabulatedNDF
 NAMES = ("alpha_x", "alpha_y", "theta_x", "theta_y", "theta_z")
 _BLOCK = 256  # tables at once: a few of their rows fit into a processor's cache
 _ROUNDING = 1e-10  # of the products, which differences of moments about 0 are taken of
+_STEPS = 8  # after which those that go on are gathered
 _TOLERANCE = 1e-5  # of t
+_LEAST = 0.2  # of the expected curvature: what the true one must exceed to be taken
 _LEVERAGE = 0.9  # a cell that holds nearly all of the table says nothing of its noise
 _THIN = 1e-6  # det / tr² of the covariance of cells that are no more than a line
 
@@ -107,7 +111,8 @@ def fit_ellipsoids(tables: TabulatedNDF, loss: TableLoss) -> FitResult:
 def _search(values: Float[np.ndarray, "B K"], cells: Cells, shared: Shared) -> Search:
     start, enough = map_lanes(_start, values, shared, _BLOCK)
     lanes = values, shared.loss.scale(values, cells.area), start
-    end = solve_grams(_gram, np.zeros((len(values), 5)), lanes, shared, block=_BLOCK, tolerance=_TOLERANCE)
+    t = np.zeros((len(values), 5))
+    end = solve_grams(_gram, t, lanes, shared, block=_BLOCK, steps_a_round=_STEPS, tolerance=_TOLERANCE)
     slopes, *sums = map_lanes(_at_the_end, (end.t, values, start), shared, _BLOCK)
     return Search(slopes, end, enough, *sums)
 
@@ -162,35 +167,59 @@ def _spread_enough(held, shared: Shared):
 
 
 def _gram(t, args):
-    """[J r]ᵀ[J r] of the residuals r by t."""
+    """Second derivatives by t, the gradient, and twice the value: see `solve_grams`.
+
+    The second derivatives are the true ones: where a patch is far from any ellipsoid they differ from the
+    expected ones, JᵀwJ, by more than a factor of two, and steps of the latter converge slowly or not at all.
+    Where they are not positive, the expected ones stand in.
+    """
     (values, scale, start), shared = args
 
     def quadric(t):
         return start.moved(t).quadric()
 
-    q, J_q = quadric(t), jax.jacfwd(quadric)(t)
-    root = q @ shared.monomials.each
-    D = 1 / root**2
-    r, slope = shared.loss.residual_and_slope(D, values)
-    r_q = -2 * scale * slope * D / root  # of which φ is the other factor
-    JJ = J_q.T @ shared.monomials.sums_of_products(r_q**2) @ J_q
-    Jr = J_q.T @ shared.monomials.sums(scale * r * r_q)
-    gram = jnp.block([[JJ, Jr[:, None]], [Jr[None, :], scale**2 * jnp.sum(r**2)[None, None]]])
+    at, J = _Derivatives.of(quadric(t), values, shared), jax.jacfwd(quadric)(t)
+    expected = J.T @ at.expected @ J
+    true = J.T @ at.true @ J + jnp.tensordot(at.slope, jax.hessian(quadric)(t), 1)
+    positive = jnp.all(jnp.isfinite(jnp.linalg.cholesky(true - _LEAST * expected)))
+    gram = scale**2 * bordered(jnp.where(positive, true, expected), J.T @ at.slope, at.loss)
     return gram + _ROUNDING * jnp.diag(jnp.diagonal(gram))
+
+
+class _Derivatives(NamedTuple):
+    """Σ ℓ over the cells, of ½ Σ ℓ the derivatives by q, and D and dD/dq but for its factor φ."""
+
+    loss: Float[Array, ""]
+    slope: Float[Array, "6"]
+    expected: Float[Array, "6 6"]
+    true: Float[Array, "6 6"]
+    D: Float[Array, " K"]
+    D_q: Float[Array, " K"]
+
+    @classmethod
+    def of(cls, q: Float[Array, "6"], values: Float[Array, " K"], shared: Shared) -> "_Derivatives":
+        loss, sums = shared.loss, shared.monomials.sums_of_products
+        root = q @ shared.monomials.each
+        D = 1 / root**2
+        D_q, D_qq = -2 * D / root, 6 * D**2
+        weight = loss.weight(D, values)
+        by_D = weight * difference(D, values)
+        true = sums(loss.curvature(D, values) * D_q**2 + by_D * D_qq)
+        slope, expected = shared.monomials.sums(by_D * D_q), sums(weight * D_q**2)
+        return cls(jnp.sum(loss.loss(D, values)), slope, expected, true, D, D_q)
 
 
 def _at_the_end(lane, shared: Shared):
     """The ellipsoid at t, and what `Search` has of it."""
     t, values, start = lane
-    q, J_q = start.moved(t).quadric(), jax.jacfwd(lambda t: start.moved(t).quadric())(t)
-    root = q @ shared.monomials.each
-    D = 1 / root**2
-    D_q, weight = -2 * D / root, shared.loss.weight(D, values)
-    gram = shared.monomials.sums_of_products(weight * D_q**2)
-    leverage = weight * D_q**2 * shared.monomials.forms(J_q @ jnp.linalg.pinv(J_q.T @ gram @ J_q) @ J_q.T)
-    residual = jnp.nan_to_num(D - values) / (1 - jnp.minimum(leverage, _LEVERAGE))
-    spread = shared.monomials.sums_of_products((weight * residual * D_q) ** 2)
-    return start.moved(t), gram, spread, jnp.sum(weight > 0)
+    J = jax.jacfwd(lambda t: start.moved(t).quadric())(t)
+    at = _Derivatives.of(start.moved(t).quadric(), values, shared)
+    weight = shared.loss.weight(at.D, values)
+    inverse = J @ jnp.linalg.pinv(J.T @ at.expected @ J) @ J.T
+    leverage = weight * at.D_q**2 * shared.monomials.forms(inverse)
+    residual = difference(at.D, values) / (1 - jnp.minimum(leverage, _LEVERAGE))
+    spread = shared.monomials.sums_of_products((weight * residual * at.D_q) ** 2)
+    return start.moved(t), at.expected, spread, jnp.sum(weight > 0)
 
 
 def _covariance(lane, _):

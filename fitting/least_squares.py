@@ -103,7 +103,8 @@ def solve_grams(
     tolerance: float = 1e-6,
 ) -> LaneSolutions:
     """`solve_lanes` of residuals r with Jacobians J of which only gram(t, (lane, shared)) = [J r]ᵀ[J r],
-    (n + 1, n + 1), is at hand; `block` is how many lanes run at once."""
+    (n + 1, n + 1), is at hand: (the curvature, the gradient; the gradient, twice the value) of any function
+    for whose curvature there is a positive estimate. `block` is how many lanes run at once."""
     t, n = np.array(start), start.shape[1]
     low, high = (np.broadcast_to(np.asarray(bound, float), n) for bound in bounds)
     cost, steps = np.full(len(t), np.nan), np.zeros(len(t), int)
@@ -150,10 +151,19 @@ def _one_round(gram, max_steps, tolerance):
         # On a bound, as clip's derivative beyond it is 0; the sign is all that matters.
         R = factor(jnp.clip(found.value, low, high), (data, shared))
         cost, gradient = R[:, -1] @ R[:, -1] / 2, R[:, :-1].T @ R[:, -1]
-        done = found.result == optx.RESULTS.successful
+        # Next to a minimum no step may lower the error by more than rounding: it is the next step that tells.
+        near = jnp.all(jnp.abs(_undamped_step(R)) < tolerance)
+        done = (found.result == optx.RESULTS.successful) | near
         return found.value, cost, found.stats["num_steps"], done, gradient
 
     return solve
+
+
+def _undamped_step(R):
+    """The step to where Jᵀr = 0, were J constant; 0 for what is on a bound."""
+    triangle = R[:-1, :-1]
+    filled = triangle + jnp.diag(jnp.where(jnp.diagonal(triangle) == 0, 1, 0))
+    return jax.scipy.linalg.solve_triangular(filled, R[:-1, -1])
 
 
 @lru_cache
@@ -173,7 +183,16 @@ def _factor(gram):
     squares = jnp.diagonal(gram)
     scale = jnp.sqrt(jnp.where(squares > 0, squares, 1))
     correlation = gram / jnp.outer(scale, scale) + _SINGULAR * jnp.eye(len(scale), dtype=gram.dtype)
-    return jnp.linalg.cholesky(correlation).T * (scale * (squares > 0))[None, :]
+    return _cholesky(correlation).T * (scale * (squares > 0))[None, :]
+
+
+def _cholesky(matrix):
+    """L, lower triangular, with L Lᵀ the matrix; where r is shorter than what J makes of it, which only a
+    Gram matrix can be that is an estimate, the last row is what r should be at least."""
+    L = jnp.linalg.cholesky(matrix[:-1, :-1])
+    row = jax.scipy.linalg.solve_triangular(L, matrix[:-1, -1], lower=True)
+    last = jnp.sqrt(jnp.maximum(matrix[-1, -1] - row @ row, 0))
+    return jnp.block([[L, jnp.zeros((len(L), 1), L.dtype)], [row[None, :], last[None, None]]])
 
 
 def _compressed(factor):

@@ -1,4 +1,4 @@
-r"""What a fit to a tabulated distribution minimises: ½ Σ r², with r a function of D and the table's T.
+r"""What a fit to a tabulated distribution minimises: ½ Σ w² ℓ(D, T), T what a cell of the table holds.
 
 Cells of the table all have the area dA on the disk. Cells in which T is NaN do not count.
 """
@@ -8,104 +8,99 @@ from types import MappingProxyType
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbrdf.special import safe_divide
 
-_NEAR = 1e-3  # |T/D − 1| below which the deviance is its series
-_SCALE = 10.0  # residuals are scaled to the order of a hundred in all, which damping is made for
+_SCALE = 10.0  # a hundred in all, of what is of order one: damping is made for that
 
 
 class TableLoss(eqx.Module, ABC):
-    """Residuals and their derivatives, cell by cell."""
+    """ℓ, and the weight that the quadratic next to it has, cell by cell."""
 
     name: ClassVar[str]
 
     @abstractmethod
-    def scale(self, T: Float[np.ndarray, "B K"], dA: float) -> Float[np.ndarray, " B"]:
-        """What the residuals of each table are multiplied by."""
+    def scale(self, T: Float[np.ndarray, "B K"], area: float) -> Float[np.ndarray, " B"]:
+        """w of each table."""
 
     @abstractmethod
-    def residual_and_slope(
-        self, D: Float[Array, " K"], T: Float[Array, " K"]
-    ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        """r and dr/dD, both 0 where T is NaN."""
+    def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+        """ℓ; 0 where T is NaN."""
 
     @abstractmethod
     def weight(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
-        """w for which the derivatives of ½ Σ r² are those of ½ Σ w (D − T)²; 0 where T is NaN."""
+        """c for which d(½ℓ)/dD = c (D − T), and d²(½ℓ)/dD² is expected to be c; 0 where T is NaN."""
 
-    def residual(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
-        """r, differentiable by D."""
-        return _with_slope(self, D, T)
+    @abstractmethod
+    def curvature(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+        """d²(½ℓ)/dD²; 0 where T is NaN."""
+
+    def gram(
+        self, D: Float[Array, " K"], T: Float[Array, " K"], J: Float[Array, "K n"], scale: Float[Array, " k"]
+    ) -> Float[Array, "n+1 n+1"]:
+        """Expected second derivatives, gradient and twice the value, for J = dD/dt: see `solve_grams`."""
+        weight = scale**2 * self.weight(D, T)
+        JJ, Jr = J.T @ (weight[:, None] * J), J.T @ (weight * difference(D, T))
+        return bordered(JJ, Jr, jnp.sum(scale**2 * self.loss(D, T)))
 
 
-@jax.custom_jvp
-def _with_slope(loss, D, T):
-    return loss.residual_and_slope(D, T)[0]
+def difference(D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+    """D − T; 0 where T is NaN."""
+    return jnp.where(jnp.isfinite(T), D - T, 0)
 
 
-@_with_slope.defjvp
-def _(primals, tangents):
-    r, slope = primals[0].residual_and_slope(*primals[1:])
-    return r, slope * tangents[1]
+def bordered(
+    JJ: Float[Array, "n n"], Jr: Float[Array, " n"], rr: Float[Array, ""]
+) -> Float[Array, "n+1 n+1"]:
+    """[J r]ᵀ[J r] of its parts."""
+    return jnp.block([[JJ, Jr[:, None]], [Jr[None, :], rr[None, None]]])
 
 
 class AreaWeighted(TableLoss):
-    """Σ (D − T)² dA, as a share of Σ T² dA: ½ Σ r² is 50 times that."""
+    """Σ (D − T)² dA, as a share of Σ T² dA: what is minimised is 50 times that."""
 
     name = "area-weighted L2"
 
-    def scale(self, T: Float[np.ndarray, "B K"], dA: float) -> Float[np.ndarray, " B"]:
+    def scale(self, T: Float[np.ndarray, "B K"], area: float) -> Float[np.ndarray, " B"]:
         squares = np.nansum(np.square(T, dtype=float), axis=1)
         return _SCALE / np.sqrt(np.where(squares > 0, squares, 1))
 
-    def residual_and_slope(
-        self, D: Float[Array, " K"], T: Float[Array, " K"]
-    ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        return jnp.where(jnp.isfinite(T), D - T, 0), self.weight(D, T)
+    def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+        return difference(D, T) ** 2
 
     def weight(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
         return jnp.isfinite(T).astype(D.dtype)
 
+    def curvature(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+        return self.weight(D, T)
+
 
 class Likelihood(TableLoss):
-    r"""KL = Σ (T log(T/D) − T + D) dA, for normals that were counted: ½ Σ r² is 100 times that.
+    r"""KL = Σ (T log(T/D) − T + D) dA, for normals that were counted: what is minimised is 100 times that.
 
     n KL is what the log-likelihood of n normals lacks to its highest value, if the count in each cell of the
-    table is Poisson distributed around n D dA; the residuals are those of the deviance. Normals that lie
-    outside the table are no loss where T is a density of all of them. A T below 0 makes r NaN.
+    table is Poisson distributed around n D dA. Normals that lie outside the table are no loss where T is a
+    density of all of them. Steps are those of Fisher's scoring. A T below 0 makes it NaN.
     """
 
     name = "likelihood"
 
-    def scale(self, T: Float[np.ndarray, "B K"], dA: float) -> Float[np.ndarray, " B"]:
-        return np.full(len(T), _SCALE * np.sqrt(dA))
+    def scale(self, T: Float[np.ndarray, "B K"], area: float) -> Float[np.ndarray, " B"]:
+        return np.full(len(T), _SCALE * np.sqrt(area))
 
-    def residual_and_slope(
-        self, D: Float[Array, " K"], T: Float[Array, " K"]
-    ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        """r = −sign(e) √(2 D h), h = y log y − e, e = y − 1, y = T/D; h = e²/2 − e³/6 + … near 0."""
-        known = jnp.isfinite(T)
-        y = jnp.where(known, safe_divide(T, D), 1)
-        e = y - 1
-        near = jnp.abs(e) < _NEAR
-        filled = y != 0
-        h = jnp.where(filled, y * jnp.log(jnp.where(filled, y, 1)), 0) - e
-        h = jnp.where(near, e * e * (1 / 2 - e / 6 + e * e / 12), h)
-        root, root_D = jnp.sqrt(2 * jnp.where(h == 0, 1, h)), jnp.sqrt(D)
-        slope = jnp.where(near, 1 + e / 6, jnp.abs(e) / root)
-        return (
-            jnp.where(h == 0, 0, -jnp.sign(e) * root * root_D),
-            jnp.where(known, safe_divide(slope, root_D), 0),
-        )
+    def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+        known, filled = jnp.isfinite(T), jnp.isfinite(T) & (T != 0)
+        log = jnp.log(jnp.where(filled, T / D, 1))
+        return jnp.where(known, 2 * (jnp.where(filled, T * log, 0) - T + D), 0)
 
     def weight(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
-        """1/D, the information that a cell is expected to give."""
         return jnp.where(jnp.isfinite(T), safe_divide(1.0, D), 0)
+
+    def curvature(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
+        return jnp.where(jnp.isfinite(T), safe_divide(T, D * D), 0)
 
 
 TABLE_LOSSES = MappingProxyType({"l2": AreaWeighted(), "likelihood": Likelihood()})

@@ -100,6 +100,7 @@ from .special import log_upper_gamma, upper_gamma
 from .surface.heightfield import Heightfield
 from .surface.kirchhoff import coherent_patches, kirchhoff_brdf, kirchhoff_ndf, resolved_angle
 from .surface.levelling import levelled, without_outliers
+from .surface.ndf_map import NDFMap, ndf_map, ndf_texture, ndf_texture_of_strips
 from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
 from .surface.patches import PatchNDFs, patch_ndfs
 from .surface.plane_fit import default_sigma
@@ -162,6 +163,7 @@ __all__ = [
     "Microfacet",
     "Mixture",
     "Modulated",
+    "NDFMap",
     "OrenNayar",
     "PatchNDFs",
     "Phong",
@@ -228,6 +230,9 @@ __all__ = [
     "merl_grid",
     "metrics",
     "mixture",
+    "ndf_map",
+    "ndf_texture",
+    "ndf_texture_of_strips",
     "normalized_l2",
     "patch_ndfs",
     "preview",
