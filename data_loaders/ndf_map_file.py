@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
+import equinox as eqx
+
 from data_loaders.errors import DataError
 from data_loaders.files import AnyPath
 from data_loaders.hdf5_record import Kind, read_record, write_record
@@ -16,7 +18,7 @@ _LAYOUT = {"unit": "um, 1/sr, radian", "layout": "images [i, j]: rows along y, c
 
 def write_ndf_maps(
     path: AnyPath,
-    maps: Sequence[NDFMap],
+    maps: Sequence[eqx.Module],
     source: Source = None,
     about: Mapping[str, str | float] = MappingProxyType({}),
 ) -> None:

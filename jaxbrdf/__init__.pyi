@@ -100,7 +100,7 @@ from .special import log_upper_gamma, upper_gamma
 from .surface.heightfield import Heightfield
 from .surface.kirchhoff import coherent_patches, kirchhoff_brdf, kirchhoff_ndf, resolved_angle
 from .surface.levelling import levelled, without_outliers
-from .surface.ndf_map import NDFMap, ndf_map, ndf_texture, ndf_texture_of_strips
+from .surface.ndf_map import NDFMap, aligned_maps, ndf_map, ndf_texture, ndf_texture_of_strips
 from .surface.normals import facet_ndf, filtered_ndf, filtered_normals, mean_ndf
 from .surface.patches import PatchNDFs, patch_ndfs
 from .surface.plane_fit import default_sigma
@@ -195,6 +195,7 @@ __all__ = [
     "WardDuer",
     "albedo",
     "aligned",
+    "aligned_maps",
     "as_adaptive",
     "as_samples",
     "as_table",

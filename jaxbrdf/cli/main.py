@@ -36,6 +36,29 @@ Json = Annotated[
     bool, typer.Option("--json", help="Write one JSON document to standard output, and nothing else.")
 ]
 Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw NAME.png for each material.")]
+Scans = Annotated[
+    list[Path],
+    typer.Argument(metavar="SCANS", help="Height maps of profilometers, or folders of them: one data set."),
+]
+Sigma = Annotated[
+    float | None,
+    typer.Option(metavar="UM", help="Radius of the filter, µm. [default: 1, or 1.5 pixels if more]"),
+]
+Level = Annotated[
+    str,
+    typer.Option(metavar="FORM", help="Form taken off each scan: **none**, **plane** or **quadratic**."),
+]
+RejectOutliers = Annotated[
+    bool, typer.Option("--reject-outliers", help="Mask spikes out before anything else.")
+]
+Unit = Annotated[
+    str | None,
+    typer.Option(metavar="UNIT", help="Unit of heights where a file does not say it: um, nm, …."),
+]
+Pixel = Annotated[
+    float | None, typer.Option(metavar="UM", help="Pixel size where a file does not say it, µm.")
+]
+Picture = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw FILE.png.")]
 
 
 def main() -> None:
@@ -274,12 +297,7 @@ def show(
 
 @app.command()
 def ndf(
-    scans: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SCANS", help="Height maps of profilometers, or folders of them: one data set."
-        ),
-    ],
+    scans: Scans,
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE.h5", help="The table; its picture beside it.")
     ],
@@ -291,32 +309,19 @@ def ndf(
             "**kirchhoff**: diffraction at --wavelength.",
         ),
     ] = "filtered",
-    sigma: Annotated[
-        float | None,
-        typer.Option(metavar="UM", help="Radius of the filter, µm. [default: 1, or 1.5 pixels if more]"),
-    ] = None,
+    sigma: Sigma = None,
     wavelength: Annotated[
         float, typer.Option(metavar="UM", help="Effective wavelength of kirchhoff, µm.")
     ] = 0.555,
     patch: Annotated[
         float, typer.Option(metavar="UM", help="Side of the patches in which light is coherent, µm.")
     ] = 70.0,
-    level: Annotated[
-        str,
-        typer.Option(metavar="FORM", help="Form taken off each scan: **none**, **plane** or **quadratic**."),
-    ] = "plane",
-    reject_outliers: Annotated[
-        bool, typer.Option("--reject-outliers", help="Mask spikes out before anything else.")
-    ] = False,
+    level: Level = "plane",
+    reject_outliers: RejectOutliers = False,
     size: Annotated[int, typer.Option(metavar="N", help="Cells of the table along the disk, odd.")] = 1025,
-    unit: Annotated[
-        str | None,
-        typer.Option(metavar="UNIT", help="Unit of heights where a file does not say it: um, nm, …."),
-    ] = None,
-    pixel: Annotated[
-        float | None, typer.Option(metavar="UM", help="Pixel size where a file does not say it, µm.")
-    ] = None,
-    picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw FILE.png.")] = True,
+    unit: Unit = None,
+    pixel: Pixel = None,
+    picture: Picture = True,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE.h5 if it is there.")] = False,
     json: Json = False,
 ) -> None:
@@ -335,11 +340,112 @@ def ndf(
     jaxbrdf ndf wafer.opd --level quadratic --reject-outliers --out wafer.h5 --json
     """
     from jaxbrdf.cli.ndf import Options, run
+    from jaxbrdf.cli.scans import Treatment
 
-    options = Options(
-        method, sigma, wavelength, patch, level, not reject_outliers, size, unit=unit, pixel=pixel
-    )
+    treatment = Treatment(level, not reject_outliers, unit, pixel)
+    options = Options(method, sigma, wavelength, patch, size, treatment)
     _exit_with(lambda: run(scans, out, options, as_json=json, picture=picture, force=force))
+
+
+@app.command()
+def patches(
+    scans: Scans,
+    size: Annotated[float, typer.Option(metavar="UM", help="Side of the patches, µm.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE.h5", help="The maps; their picture beside them.")
+    ],
+    stride: Annotated[
+        float | None, typer.Option(metavar="UM", help="From patch to patch, µm. [default: side by side]")
+    ] = None,
+    loss: Annotated[
+        str,
+        typer.Option(metavar="LOSS", help="What fits minimise: **likelihood** of the normals, or **l2**."),
+    ] = "likelihood",
+    cells: Annotated[int, typer.Option(metavar="N", help="Cells of each patch's table along a side.")] = 65,
+    sigma: Sigma = None,
+    level: Level = "plane",
+    reject_outliers: RejectOutliers = False,
+    unit: Unit = None,
+    pixel: Pixel = None,
+    picture: Picture = True,
+    force: Annotated[bool, typer.Option("--force", help="Begin anew if FILE.h5 is there.")] = False,
+    json: Json = False,
+) -> None:
+    """Map how the distribution of normals varies over surfaces: an ellipsoid for each patch.
+
+    Each scan gives images of the five parameters (roughness alpha_x, alpha_y; skew theta_x, theta_y;
+    orientation theta_z), written to one HDF5 file as scan after scan is finished. The picture has some
+    patches' distributions, with the fits over them, and the images. After an interrupt the same command goes
+    on.
+
+    KL is how much less likely each normal is under the fit than under the table itself; L2 the share of the
+    table's square that the fit leaves.
+
+    **Examples**
+
+    jaxbrdf patches land.x3p --size 60 --out land-maps.h5
+
+    jaxbrdf patches steel/ --size 53 --stride 26 --level quadratic --out steel-maps.h5 --json
+    """
+    from jaxbrdf.cli.patches import Options, run
+    from jaxbrdf.cli.scans import Treatment
+
+    treatment = Treatment(level, not reject_outliers, unit, pixel)
+    options = Options(size, stride, sigma, loss, cells, treatment)
+    _exit_with(lambda: run(scans, out, options, as_json=json, picture=picture, force=force))
+
+
+@app.command()
+def texture(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILES",
+            help="Maps that `jaxbrdf patches` wrote: one file; or two of strips, along x and along y.",
+        ),
+    ],
+    shape: Annotated[tuple[int, int], typer.Option(metavar="H W", help="Rows and columns of the texture.")],
+    seed: Annotated[int, typer.Option(metavar="N", help="Another number, another texture.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE.h5", help="Where to. [default: beside the maps, as NAME.texture.h5]"
+        ),
+    ] = None,
+    scan: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The scan to imitate. [default: that of most patches]")
+    ] = None,
+    separable: Annotated[
+        bool, typer.Option("--separable", help="A spectrum that is a product of one along x and one along y.")
+    ] = False,
+    independent: Annotated[
+        bool, typer.Option("--independent", help="Parameters that vary independently of each other.")
+    ] = False,
+    marginals: Annotated[
+        bool, typer.Option("--marginals", help="Keep the distribution of each parameter's values.")
+    ] = False,
+    picture: Picture = True,
+    force: Annotated[bool, typer.Option("--force", help="Replace the texture if it is there.")] = False,
+    json: Json = False,
+) -> None:
+    """Synthesise a surface of any size whose parameters vary as measured ones do.
+
+    The spectrum of the maps is kept, their phases are drawn anew. Two files, of strips along x and along y,
+    are extended to a surface as in Dong et al. 2015. The table compares mean, spread, and how alike
+    neighbours are.
+
+    **Examples**
+
+    jaxbrdf texture land-maps.h5 --shape 512 512
+
+    jaxbrdf texture land-maps.h5 --shape 256 1024 --seed 7 --marginals --out land-texture.h5
+
+    jaxbrdf texture along.h5 across.h5 --shape 1024 1024 --out steel.h5
+    """
+    from jaxbrdf.cli.texture import Options, run
+
+    options = Options(shape, seed, scan, separable, not independent, marginals)
+    _exit_with(lambda: run(files, out, options, as_json=json, picture=picture, force=force))
 
 
 @app.command()

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from data_loaders import DataError, read_heightfield, scan_files, write_ndf
+from data_loaders import DataError, write_ndf
 from data_loaders.files import replacing
 from fitting import fit_ndf
 from jaxbrdf import (
@@ -28,16 +28,11 @@ from jaxbrdf import (
     TrowbridgeReitz,
     default_sigma,
     kirchhoff_ndf,
-    levelled,
-    without_outliers,
 )
-from jaxbrdf.cli import batch, ndf_pictures, numerics, report
+from jaxbrdf.cli import batch, ndf_pictures, numerics, report, scans
 from jaxbrdf.ndf.tabulated import cell_area, disk_cells
 from jaxbrdf.surface.kirchhoff import COHERENT_PATCH
 from jaxbrdf.surface.normals import NormalCounts, facet_cells, filtered_cells
-
-_LEVELS = {"none": 0, "plane": 1, "quadratic": 2}
-
 
 # How a distribution is made of maps that come one by one
 
@@ -121,11 +116,8 @@ class Options:
     sigma: float | None = None
     wavelength: float = 0.555
     patch: float = COHERENT_PATCH
-    level: str = "plane"
-    outliers: bool = True
     size: int = 1025
-    unit: str | None = None
-    pixel: float | None = None
+    treatment: scans.Treatment = field(default_factory=scans.Treatment)
 
     def start(self) -> Method:
         methods = {
@@ -139,18 +131,11 @@ class Options:
 
     def about(self) -> dict[str, str]:
         """What the file says of how its scans were treated."""
-        outliers = "kept" if self.outliers else "masked out"
-        return {"method": self.method, "levelled": self.level, "outliers": outliers}
-
-    def prepared(self, heightfield: Heightfield) -> Heightfield:
-        if not self.outliers:
-            heightfield = without_outliers(heightfield)
-        degree = _LEVELS[self.level]
-        return levelled(heightfield, degree) if degree else heightfield
+        return {"method": self.method, **self.treatment.about()}
 
 
 def run(
-    scans: Sequence[Path],
+    paths: Sequence[Path],
     out: Path,
     options: Options = Options(),
     *,
@@ -159,7 +144,7 @@ def run(
     force: bool = False,
 ) -> int:
     """Make one distribution of all scans, write and draw it, fit models to it; returns the exit status."""
-    files = _refuse_nonsense(scans, out, options, force)
+    files = _refuse_nonsense(paths, out, options, force)
     numerics.prepare()
     method = options.start()
     outcome = batch.each(files, partial(_take_in, method, options), "reading", Console(stderr=True))
@@ -173,64 +158,42 @@ def run(
     return outcome.exit_status
 
 
-def _refuse_nonsense(scans: Sequence[Path], out: Path, options: Options, force: bool) -> list[Path]:
+def _refuse_nonsense(paths: Sequence[Path], out: Path, options: Options, force: bool) -> list[Path]:
     """The files of all scans."""
-    if options.level not in _LEVELS:
-        raise batch.Refused(f"--level {options.level}: expected one of {', '.join(_LEVELS)}")
+    options.treatment.refuse_nonsense()
     if options.size < 3 or options.size % 2 == 0:
         raise batch.Refused(
             f"--size {options.size}: expected an odd number of cells, so that one is the normal's"
         )
-    if out.suffix.lower() not in (".h5", ".hdf5"):
-        raise batch.Refused(f"--out {out}: expected a name that ends in .h5")
-    try:
-        files = scan_files(scans)
-    except DataError as error:
-        raise batch.Refused(str(error)) from error
-    written = {out.resolve(), out.with_suffix(".png").resolve()}
-    for file in files:
-        if file.resolve() in written:
-            raise batch.Refused(f"--out {out}: the result would overwrite {file}; give it another name")
+    files = scans.inputs(paths, out)
     if out.exists() and not force:
         raise batch.Refused(f"--out {out}: is there already; --force replaces it")
-    batch.writable_folder(out.parent)
     return files
 
 
 def _take_in(method: Method, options: Options, path: Path) -> dict[str, Any]:
     """Adds a scan to the distribution; what is to be said of the scan."""
-    heightfield = read_heightfield(path, unit=options.unit, pixel=options.pixel)
-    prepared = options.prepared(heightfield)
-    valid = np.asarray(prepared.valid)
-    heights = np.asarray(levelled(prepared).heights)[valid]
-    return {
-        "name": path.stem,
-        "source": str(path),
-        "shape": list(valid.shape),
-        "pixel": [heightfield.dx, heightfield.dy],
-        "missing": float(1 - valid.mean()),
-        "Sq": float(np.sqrt(np.mean(heights**2))),
-        **method.add(prepared),
-    }
+    prepared = options.treatment.read(path)
+    return scans.described(path, prepared) | method.add(prepared)
 
 
-def _finish(method: Method, scans: list[dict], out: Path, options: Options, picture: bool) -> dict[str, Any]:
+def _finish(method: Method, taken: list[dict], out: Path, options: Options, picture: bool) -> dict[str, Any]:
     """Writes the table and its picture; the document that says what they show."""
     ndf = method.ndf()
     about: dict[str, str | float] = {**options.about(), **method.about()}
     out.parent.mkdir(parents=True, exist_ok=True)
     fits = {name: fit_ndf(model, ndf) for name, model in _models().items()}
-    write_ndf(out, ndf, [scan["source"] for scan in scans], about | {"scans": float(len(scans))})
+    write_ndf(out, ndf, [scan["source"] for scan in taken], about | {"scans": float(len(taken))})
     document = {
         "out": str(out),
         **about,
-        "scans": scans,
+        "scans": taken,
         **_slopes(ndf),
         "fits": [_fit_in_words(name, fit) for name, fit in fits.items()],
     }
     if picture:
         with replacing(out.with_suffix(".png")) as scratch:
-            title = f"{scans[0]['name']}{f' and {len(scans) - 1} more' if len(scans) > 1 else ''}"
+            title = f"{taken[0]['name']}{f' and {len(taken) - 1} more' if len(taken) > 1 else ''}"
             ndf_pictures.overview(ndf, fits, f"{title}, {options.method}").savefig(scratch, format="png")
     return document
 
@@ -283,12 +246,12 @@ def _tell(document: dict[str, Any], outcome: batch.Report, as_json: bool) -> Non
     report.say(console, f"written: {document['out']}")
 
 
-def _scan_table(scans: Sequence[dict[str, Any]]) -> Table:
+def _scan_table(taken: Sequence[dict[str, Any]]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     table.add_column("scan", overflow="fold")
     for name in ("points", "pixel, µm", "missing", "Sq, µm", "sigma, µm"):
         table.add_column(name, justify="right", no_wrap=True)
-    for scan in scans:
+    for scan in taken:
         shape = " × ".join(str(n) for n in reversed(scan["shape"]))
         pixel = " × ".join(f"{size:.4g}" for size in scan["pixel"])
         numbers = f"{100 * scan['missing']:.2f} %", f"{scan['Sq']:.4g}", report.number(scan.get("sigma"))

@@ -1,6 +1,7 @@
 """A distribution of normals for each place of a surface: images of parameters, measured or synthesised."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxbrdf.arrays import Range, declared
 from jaxbrdf.fit_result import FitResult, FitStatus
 from jaxbrdf.ndf.base import AbstractNDF
+from jaxbrdf.ndf.ellipsoid import Ellipsoid, aligned
 from jaxbrdf.surface.patches import PatchNDFs
 from jaxbrdf.surface.texture import synthesize_texture, texture_like
 
@@ -68,6 +70,26 @@ def ndf_map(patches: PatchNDFs, result: FitResult, name: str = "") -> NDFMap:
     images = [patches.image(np.asarray(part)) for part in (result.status, result.cost, patches.counts)]
     ndf = jax.tree.map(patches.image, result.model)
     return NDFMap(ndf, patches.stride, name, patches.size, *images)
+
+
+def aligned_maps(maps: Sequence[NDFMap]) -> list[NDFMap]:
+    """Maps of ellipsoids by those of their names whose θ_z is nearest to the orientation of all: `aligned`.
+
+    Maps of other distributions are what they were.
+    """
+    if not all(isinstance(item.ndf, Ellipsoid) for item in maps):
+        return list(maps)
+    flat = [jax.tree.map(jnp.ravel, item.ndf) for item in maps]
+    together = aligned(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *flat))
+    ends = np.cumsum([item.shape[0] * item.shape[1] for item in maps]).tolist()
+    return [
+        replace(item, ndf=_images(together, slice(start, end), item.shape))
+        for item, start, end in zip(maps, [0, *ends], ends, strict=False)
+    ]
+
+
+def _images(ndf: Ellipsoid, at: slice, shape: tuple[int, int]) -> Ellipsoid:
+    return jax.tree.map(lambda leaf: leaf[at].reshape(shape), ndf)
 
 
 def ndf_texture(key: Array, exemplar: NDFMap, shape: tuple[int, int], **options: bool) -> NDFMap:
