@@ -26,7 +26,6 @@ from fitting.tables import FEWEST, Cells, cells_of, check, in_parts
 from jaxbrdf.fit_result import FitResult
 from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.tabulated import TabulatedNDF
-from jaxbrdf.special import safe_divide
 
 _SOME = 16384  # cells at which starts are tried
 _GRID = 256  # shapes to start from
@@ -100,9 +99,8 @@ def fit_ndf(
 
 def as_result(model: AbstractNDF, space: ModelSpace, outcome: Outcome, loss: TableLoss) -> FitResult:
     """The record of a fit of one table, or of a stack."""
-    batch = np.shape(outcome.status)
-    model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*batch, *jnp.shape(leaf))), model)
-    return outcome.result(space.fitted(model, jnp.asarray(outcome.numbers)), space.names, loss.name)
+    fitted = space.fitted_each if np.ndim(outcome.status) else space.fitted
+    return outcome.result(fitted(model, jnp.asarray(outcome.numbers)), space.names, loss.name)
 
 
 def fit_lanes(
@@ -182,8 +180,8 @@ def _density(u, space: ModelSpace, m) -> Float[Array, " K"]:
 def _describe(lane, shared):
     """The parameters, their covariance, and D − T."""
     (u, values), (space, loss, m) = lane, shared
-    slope = jnp.where((u < _EDGE) | (u > 1 - _EDGE), 0, safe_divide(1.0, space.slopes(u)))
     D = _density(u, space, m)
-    jacobian = jax.jacfwd(_density)(u, space, m) * slope[None, :]
+    by_u = jax.jacfwd(_density)(u, space, m)
+    jacobian = space.by_parameters(by_u, u, (u < _EDGE) | (u > 1 - _EDGE))
     covariance = sandwich(jacobian, difference(D, values), loss.weight(D, values))
     return space.shape_values(u), covariance, D - values

@@ -3,6 +3,10 @@ r"""From the numbers that a solver moves to any sum of reflectances, whatever th
     f = f_0(u) + Σ_j x_j φ_j(u)
 
 x_j ≥ 0 are the parameters declared linear, u in [0, 1]ⁿ the shares of their ranges at which the others lie.
+Shares s_1 … s_K of a whole are K − 1 of these, each the part that one takes of what those before it left:
+
+    s_k = u_k (1 − u_1) ⋯ (1 − u_{k−1}),   k < K;   s_K = 1 − s_1 − … − s_{K−1}
+
 A term of the sum with such a shape is a *lobe*; the rest (diffuse, fixed) is the base. Unknowns stand in the
 order base, first lobe, second lobe, …, so that those of a sum of fewer lobes come first.
 """
@@ -17,14 +21,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from fitting.masking import log_areas, looked_up
 from fitting.parameters import ShapeSpace, share_of, value_at
-from jaxbrdf.arrays import Parametric, Range, declared, fitted_ranges
+from jaxbrdf.arrays import Parametric, Range, Simplex, declared, fitted_ranges
 from jaxbrdf.brdf.base import AbstractBRDF, Scaled, Sum
 from jaxbrdf.directions import Direction
 from jaxbrdf.ndf.base import AbstractNDF
+from jaxbrdf.special import safe_divide
 
 
 @dataclass(frozen=True)
@@ -38,9 +43,16 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Shape(Unknown):
-    """One in which the reflectance is not linear, and its range."""
+    """One in which the reflectance is not linear, and its range; of several shares, which one it is."""
 
     range: Range
+    part: int | None = None
+
+    def place(self, leaf: Array) -> Array:
+        """The u at which the value of its leaf lies."""
+        if self.part is None:
+            return share_of(self.range, leaf)
+        return safe_divide(leaf[self.part], jnp.sum(leaf[self.part :], axis=0))
 
 
 class ModelSpace(eqx.Module):
@@ -61,6 +73,10 @@ class ModelSpace(eqx.Module):
         """All unknowns: linear ones first."""
         return tuple(unknown.name for unknown in (*self.linear, *self.shapes))
 
+    @property
+    def leaves_of_shares(self) -> set[int]:
+        return {shape.leaf for shape in self.shapes if shape.part is not None}
+
     def first_lobes(self, count: int) -> "ModelSpace":
         """The space of the base and the first lobes; the terms of the others are left out."""
         left_out = self.lobes[count:]
@@ -80,24 +96,49 @@ class ModelSpace(eqx.Module):
 
     def shape_values(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
         """The parameters at u."""
-        values = [value_at(unknown.range, u[k]) for k, unknown in enumerate(self.shapes)]
+        values = []
+        left: dict[int, Any] = {}  # of the whole that a leaf of shares divides; others take all of their own
+        for k, shape in enumerate(self.shapes):
+            rest = left.get(shape.leaf, 1)
+            values.append(rest * value_at(shape.range, u[k]))
+            left[shape.leaf] = rest - values[-1]
         return jnp.stack(values) if values else u
 
     def shares_of(self, model: Parametric) -> Float[np.ndarray, " n"]:
         """The u of another model of the same structure."""
         leaves = jax.tree.leaves(model)
-        return np.array([float(share_of(shape.range, leaves[shape.leaf])) for shape in self.shapes])
+        return np.array([float(shape.place(leaves[shape.leaf])) for shape in self.shapes])
 
-    def slopes(self, u: Float[Array, " n"]) -> Float[Array, " n"]:
-        """d parameter / du."""
-        return jnp.diagonal(jax.jacfwd(self.shape_values)(u))
+    def by_parameters(
+        self, by_u: Float[Array, "N n"], u: Float[Array, " n"], pinned: Bool[Array, " n"]
+    ) -> Float[Array, "N n"]:
+        """Derivatives by the parameters from those by u, of which the `pinned` stay; 0 for these.
 
-    def fitted(self, model: Parametric, numbers: Float[Array, "... n"]) -> Any:
+        d parameter / du is diagonal but for shares, and triangular for these, none of which depends on the u
+        after its own. A u that takes its part of nothing stays too.
+        """
+        slopes = jax.jacfwd(self.shape_values)(u)
+        own = jnp.where(pinned, 0, jnp.diagonal(slopes))
+        if not self.leaves_of_shares:
+            return by_u * safe_divide(1.0, own)[None, :]
+        free = own != 0
+        both = free[:, None] & free[None, :]
+        inverse = jnp.linalg.inv(jnp.where(both, slopes, jnp.eye(len(u), dtype=u.dtype)))
+        return by_u @ jnp.where(both, inverse, 0)
+
+    def fitted(self, model: Parametric, numbers: Float[Array, "*channels n"]) -> Any:
         """The model with the unknowns replaced by numbers, in the order of `names`."""
         leaves, structure = jax.tree.flatten(model)
         for k, unknown in enumerate((*self.linear, *self.shapes)):
             leaves[unknown.leaf] = numbers[..., k]
+        for leaf in self.leaves_of_shares:
+            own = [k for k, unknown in enumerate(self.shapes, len(self.linear)) if unknown.leaf == leaf]
+            leaves[leaf] = _with_rest(jnp.stack([numbers[..., k] for k in own]))
         return jax.tree.unflatten(structure, leaves)
+
+    def fitted_each(self, model: Parametric, numbers: Float[Array, "B *channels n"]) -> Any:
+        """The same of each of many: leaves (B, …)."""
+        return jax.vmap(self.fitted, (None, 0))(model, numbers)
 
     def parts(self, u, own, wi: Direction, wo: Direction, terms: Sequence[int]):
         """f_0 (N,) and the φ of those linear unknowns that stand in some terms of the sum, (k, N)."""
@@ -143,7 +184,7 @@ def model_space(model: Parametric, fixed: Sequence[str] = ()) -> tuple[ModelSpac
     paths, structure = jax.tree_util.tree_flatten_with_path(model)
     leaves = [jnp.asarray(leaf) for _, leaf in paths]
     ranks = [declared(model, path).get("rank", 0) for path, _ in paths]
-    unknowns = _unknowns(model, [path for path, _ in paths], fixed)
+    unknowns = _unknowns(model, paths, fixed)
     shapes = tuple(unknown for unknown in unknowns if isinstance(unknown, Shape))
     linear = tuple(unknown for unknown in unknowns if not isinstance(unknown, Shape))
     with_channels = {i for i, (leaf, rank) in enumerate(zip(leaves, ranks, strict=True)) if leaf.ndim > rank}
@@ -152,27 +193,42 @@ def model_space(model: Parametric, fixed: Sequence[str] = ()) -> tuple[ModelSpac
     prototype = jax.tree.unflatten(structure, one_channel)
     lobes = tuple(sorted({shape.term for shape in shapes}))
     space = ModelSpace(prototype, _areas(prototype, lobes), shapes, linear, own, lobes)
-    starts = [np.atleast_1d(share_of(shape.range, leaves[shape.leaf])) for shape in shapes]
+    starts = [np.atleast_1d(shape.place(leaves[shape.leaf])) for shape in shapes]
     u = np.stack(np.broadcast_arrays(*starts), axis=-1) if starts else np.zeros((1, 0))
     return space, u, [np.moveaxis(np.asarray(leaves[i]), -1, 0) for i in own]
 
 
-def _unknowns(model: Parametric, paths: Sequence[tuple], fixed: Sequence[str]) -> list[Unknown]:
-    """What a fit seeks: the base's first, then lobe by lobe."""
-    names = [jax.tree_util.keystr(path).lstrip(".") for path in paths]
+def _unknowns(model: Parametric, paths: Sequence[tuple[tuple, Any]], fixed: Sequence[str]) -> list[Unknown]:
+    """What a fit seeks of all leaves, given with their paths: the base's first, then lobe by lobe."""
+    names = [jax.tree_util.keystr(path).lstrip(".") for path, _ in paths]
     terms = [i for i, term in enumerate(terms_of(model)) for _ in jax.tree.leaves(term)]
     held = _held(names, fixed)
     unknowns: list[Unknown] = []
-    for leaf, (path, name, term) in enumerate(zip(paths, names, terms, strict=True)):
+    for leaf, ((path, value), name, term) in enumerate(zip(paths, names, terms, strict=True)):
         data = declared(model, path)
         if name not in held and data.get("fitted"):
-            unknowns.append(Shape(leaf, name, term, data["fitted"]))
+            unknowns += _shapes(Unknown(leaf, name, term), data["fitted"], value)
         elif name not in held and data.get("linear") and not _scaled(model, path):
             unknowns.append(Unknown(leaf, name, term))
     if not unknowns:
         raise ValueError(f"nothing to fit: no free parameter in this {type(model).__name__}")
     lobes = {unknown.term for unknown in unknowns if isinstance(unknown, Shape)}
     return sorted(unknowns, key=lambda unknown: (unknown.term in lobes, unknown.term))
+
+
+def _shapes(unknown: Unknown, fitted: Range | Simplex, value: Array | np.ndarray) -> list[Shape]:
+    """The unknowns of one leaf: one, or all shares but the last."""
+    leaf, name, term = unknown.leaf, unknown.name, unknown.term
+    if isinstance(fitted, Range):
+        return [Shape(leaf, name, term, fitted)]
+    return [Shape(leaf, f"{name}[{k}]", term, Range(0.0, 1.0), k) for k in range(len(value) - 1)]
+
+
+def _with_rest(shares: Float[Array, "k *channels"]) -> Float[Array, "K *channels"]:
+    """All shares of a whole, from all but the last."""
+    rest = 1 - jnp.sum(shares, axis=0, keepdims=True)
+    below = jax.lax.stop_gradient(jnp.minimum(rest, 0))  # by rounding, which is to have no derivative
+    return jnp.concatenate([shares, rest - below])
 
 
 def terms_of(model: Parametric) -> list[Parametric]:

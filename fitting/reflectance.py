@@ -143,7 +143,7 @@ def _describe(lane, shared: Shared):
     space = shared.space
     numbers = jnp.concatenate([x, space.shape_values(u)])
     by_u, by_x = jax.jacfwd(weighted_residual, (0, 1))(u, x, data, shared)
-    by_shape = by_u * jnp.where(_on_bound(u), 0, safe_divide(1.0, space.slopes(u)))[None, :]
+    by_shape = space.by_parameters(by_u, u, _on_bound(u))
     root = jnp.sqrt(data.weight)
     unweighted = safe_divide(jnp.concatenate([by_x, by_shape], axis=1), root[:, None])
     r = weighted_residual(u, x, data, shared)
@@ -164,7 +164,5 @@ def _record(model: AbstractBRDF, space: ModelSpace, found: Outcome, alone: bool)
     """The result of B materials in C channels, or of one of them."""
     if alone:
         found = Outcome(*[part[0] for part in found])
-    else:
-        count = len(found.status)
-        model = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), model)
-    return FitResult(space.fitted(model, jnp.asarray(found.numbers)), *found[1:], parameters=space.names)
+    fitted = (space.fitted if alone else space.fitted_each)(model, jnp.asarray(found.numbers))
+    return FitResult(fitted, *found[1:], parameters=space.names)

@@ -34,6 +34,11 @@ class Range:
 
 
 @dataclass(frozen=True)
+class Simplex:
+    """Where a fit looks for K shares, along the first axis of a field of rank 1: s_k ≥ 0 with the sum 1."""
+
+
+@dataclass(frozen=True)
 class Domain:
     """The values for which a formula has a meaning: from low (left out where `open`) to high."""
 
@@ -58,7 +63,7 @@ NON_NEGATIVE = Domain(0.0)
 def parameter(
     rank: int = 0,
     domain: Domain | None = None,
-    fitted: Range | None = None,
+    fitted: Range | Simplex | None = None,
     optional: bool = False,
     default: float | None = None,
     linear: bool = False,
@@ -66,9 +71,9 @@ def parameter(
     """A field of a model whose own shape has `rank` axes; one more, at the end, is the channels.
 
     A model refuses values outside the `domain` when it is made. `fitted` is the range in which a fit may look
-    for the parameter; evaluation is not bound to it. A reflectance is `linear` in some parameters: fits look
-    for those from 0 on, without a range. A parameter may be left out if it is `optional`, then it is None, or
-    if it has a `default`.
+    for the parameter, or `Simplex()` for shares; evaluation is not bound to it. A reflectance is `linear` in
+    some parameters: fits look for those from 0 on, without a range. A parameter may be left out if it is
+    `optional`, then it is None, or if it has a `default`.
     """
     metadata = {"rank": rank, "domain": domain, "fitted": fitted, "optional": optional, "linear": linear}
     converter = _array_or_none if optional else jnp.asarray
@@ -107,9 +112,9 @@ class Parametric(eqx.Module):
 
 
 def fitted_ranges(model_class: type[eqx.Module]) -> dict[str, Range]:
-    """The parameters of a class that a fit may change, by name, with their ranges; no optional ones."""
+    """The parameters of a class that have a range for fits, by name; no optional ones, and no shares."""
     fields = [f for f in dataclasses.fields(model_class) if not f.metadata.get("optional")]
-    return {f.name: f.metadata["fitted"] for f in fields if f.metadata.get("fitted")}
+    return {f.name: f.metadata["fitted"] for f in fields if isinstance(f.metadata.get("fitted"), Range)}
 
 
 def per_channel(method: Callable) -> Callable:

@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxbrdf.arrays import NON_NEGATIVE, parameter, precision
+from jaxbrdf.arrays import NON_NEGATIVE, Simplex, parameter, precision
 from jaxbrdf.directions import Direction
 from jaxbrdf.ndf.base import AbstractNDF, pick
 from jaxbrdf.quadrature import hemisphere
@@ -20,7 +20,7 @@ class Mixture(AbstractNDF):
     `mixture` makes one from weights of facet area.
     """
 
-    shares: Float[Array, "K *channels"] = parameter(rank=1, domain=NON_NEGATIVE)
+    shares: Float[Array, "K *channels"] = parameter(rank=1, domain=NON_NEGATIVE, fitted=Simplex())
     ndfs: tuple[AbstractNDF, ...]  # type: ignore[misc]  # `parameter()` is no default
 
     @property
