@@ -88,7 +88,7 @@ def solve_lanes(
     error then falls inwards, it is set back inside for the next.
     """
     limits = steps_a_round, rounds, tolerance
-    return solve_grams(_gram_of(residual), start, lanes, shared, bounds, _block_size(len(start)), *limits)
+    return solve_grams(_gram_of(residual), start, lanes, shared, bounds, None, *limits)
 
 
 def solve_grams(
@@ -97,14 +97,15 @@ def solve_grams(
     lanes: Any,
     shared: Any = None,
     bounds: tuple[ArrayLike, ArrayLike] = (-np.inf, np.inf),
-    block: int = 256,
+    block: int | None = None,
     steps_a_round: int = 12,
     rounds: int = 10,
     tolerance: float = 1e-6,
 ) -> LaneSolutions:
     """`solve_lanes` of residuals r with Jacobians J of which only gram(t, (lane, shared)) = [J r]ᵀ[J r],
     (n + 1, n + 1), is at hand: (the curvature, the gradient; the gradient, twice the value) of any function
-    for whose curvature there is a positive estimate. `block` is how many lanes run at once."""
+    for whose curvature there is a positive estimate. `block` is how many lanes run at once, if not a few.
+    """
     t, n = np.array(start), start.shape[1]
     low, high = (np.broadcast_to(np.asarray(bound, float), n) for bound in bounds)
     cost, steps = np.full(len(t), np.nan), np.zeros(len(t), int)

@@ -41,6 +41,12 @@ def test_a_height_map_becomes_an_ellipsoid(examples, tmp_path):
     assert alpha_y / alpha_x == pytest.approx(np.sqrt(404 / 20), rel=0.1)
 
 
+def test_a_height_map_becomes_a_texture(examples, tmp_path):
+    share, reflectance = numbers_printed_by(examples[3], tmp_path)
+    assert share == 1
+    assert reflectance > 0
+
+
 def test_the_new_distribution_shadows_as_brute_force_says(examples, tmp_path):
     def logistic(m, alpha=0.3):
         above = m[..., 2] > 1e-9
@@ -49,8 +55,8 @@ def test_the_new_distribution_shadows_as_brute_force_says(examples, tmp_path):
         return np.where(above, 1 / (2 * np.pi * alpha**2 * np.cosh(y / 2) ** 2 * cos**4), 0)
 
     masks = [w[2] / references.projected_area(logistic, w) for w in references.direction([1.2, 0.5], 0.0)]
-    np.testing.assert_allclose(numbers_printed_by(examples[3], tmp_path), [masks[0] * masks[1]], rtol=2e-6)
+    np.testing.assert_allclose(numbers_printed_by(examples[4], tmp_path), [masks[0] * masks[1]], rtol=2e-6)
 
 
 def test_these_are_all_examples(examples):
-    assert len(examples) == 4
+    assert len(examples) == 5
