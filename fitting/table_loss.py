@@ -12,8 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbrdf.special import safe_divide
-
 _SCALE = 10.0  # a hundred in all, of what is of order one: damping is made for that
 
 
@@ -83,7 +81,8 @@ class Likelihood(TableLoss):
 
     n KL is what the log-likelihood of n normals lacks to its highest value, if the count in each cell of the
     table is Poisson distributed around n D dA. Normals that lie outside the table are no loss where T is a
-    density of all of them. Steps are those of Fisher's scoring. A T below 0 makes it NaN.
+    density of all of them. A D of 0 counts as one that is hardly more: normals where there should be none are
+    a great loss, not none. Steps are those of Fisher's scoring. A T below 0 makes it NaN.
     """
 
     name = "likelihood"
@@ -93,14 +92,19 @@ class Likelihood(TableLoss):
 
     def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
         known, filled = jnp.isfinite(T), jnp.isfinite(T) & (T != 0)
-        log = jnp.log(jnp.where(filled, T / D, 1))
+        log = jnp.log(jnp.where(filled, T / _positive(D), 1))
         return jnp.where(known, 2 * (jnp.where(filled, T * log, 0) - T + D), 0)
 
     def weight(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
-        return jnp.where(jnp.isfinite(T), safe_divide(1.0, D), 0)
+        return jnp.where(jnp.isfinite(T), 1 / _positive(D), 0)
 
     def curvature(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
-        return jnp.where(jnp.isfinite(T), safe_divide(T, D * D), 0)
+        return jnp.where(jnp.isfinite(T), T / _positive(D) ** 2, 0)
+
+
+def _positive(D: Float[Array, " K"]) -> Float[Array, " K"]:
+    """D, but so large that numbers can hold 1/D², and far less than any table holds."""
+    return jnp.maximum(D, jnp.finfo(D.dtype).tiny ** 0.4)
 
 
 TABLE_LOSSES = MappingProxyType({"l2": AreaWeighted(), "likelihood": Likelihood()})

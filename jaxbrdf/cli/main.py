@@ -422,15 +422,18 @@ def texture(
         bool, typer.Option("--independent", help="Parameters that vary independently of each other.")
     ] = False,
     marginals: Annotated[
-        bool, typer.Option("--marginals", help="Keep the distribution of each parameter's values.")
-    ] = False,
+        bool,
+        typer.Option(
+            "--marginals/--normal", help="Distribute each parameter's values as in the maps, or normally."
+        ),
+    ] = True,
     picture: Picture = True,
     force: Annotated[bool, typer.Option("--force", help="Replace the texture if it is there.")] = False,
     json: Json = False,
 ) -> None:
     """Synthesise a surface of any size whose parameters vary as measured ones do.
 
-    The spectrum of the maps is kept, their phases are drawn anew. Two files, of strips along x and along y,
+    The spectrum of a map is kept, its phases are drawn anew. Two files, of strips along x and along y,
     are extended to a surface as in Dong et al. 2015. The table compares mean, spread, and how alike
     neighbours are.
 
@@ -438,7 +441,7 @@ def texture(
 
     jaxbrdf texture land-maps.h5 --shape 512 512
 
-    jaxbrdf texture land-maps.h5 --shape 256 1024 --seed 7 --marginals --out land-texture.h5
+    jaxbrdf texture land-maps.h5 --shape 256 1024 --seed 7 --normal --out land-texture.h5
 
     jaxbrdf texture along.h5 across.h5 --shape 1024 1024 --out steel.h5
     """

@@ -26,25 +26,26 @@ class Options:
     scan: str | None = None
     separable: bool = False
     correlated: bool = True
-    marginals: bool = False
+    marginals: bool = True
 
     def refuse_nonsense(self, files: Sequence[Path]) -> None:
         if min(self.shape) < 1:
             raise batch.Refused(f"--shape {self.shape[0]} {self.shape[1]}: expected two positive numbers")
         if len(files) > 2:
             raise batch.Refused(f"expected one file of maps, or two of strips; found {len(files)}")
-        if len(files) == 2 and (self.scan or self.separable or self.marginals or not self.correlated):
+        if len(files) == 2 and (self.scan or self.separable or not self.correlated or not self.marginals):
             raise batch.Refused(
-                "--scan, --separable, --marginals and --independent are for one file of maps: of two strips "
-                "the texture is separable, and its channels are independent"
+                "--scan, --separable, --independent and --normal are for one file of maps: of two strips the "
+                "texture is always separable, its channels independent, and their values normal"
             )
 
-    def about(self) -> dict[str, str | float]:
+    def about(self, strips: bool) -> dict[str, str | float]:
+        """What the file says of how the texture was made."""
         return {
             "seed": float(self.seed),
-            "spectrum": "separable" if self.separable else "full",
-            "channels": "correlated" if self.correlated else "independent",
-            "marginals": "those of the exemplar" if self.marginals else "normal",
+            "spectrum": "separable" if self.separable or strips else "full",
+            "channels": "correlated" if self.correlated and not strips else "independent",
+            "marginals": "those of the exemplar" if self.marginals and not strips else "normal",
         }
 
 
@@ -65,13 +66,14 @@ def run(
     try:
         exemplar, texture = _synthesised([read_ndf_maps(file) for file in files], options)
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_ndf_maps(target, [texture], files, options.about())
+        about = options.about(strips=len(files) == 2)
+        write_ndf_maps(target, [texture], files, about)
         if picture:
             with replacing(target.with_suffix(".png")) as scratch:
                 map_pictures.texture(exemplar, texture).savefig(scratch, format="png")
     except (DataError, ValueError, OSError) as error:
         raise batch.Refused(str(error)) from error
-    _tell(_document(target, exemplar, texture, options), as_json)
+    _tell({"out": str(target), **about, **_document(exemplar, texture)}, as_json)
     return 0
 
 
@@ -107,13 +109,11 @@ def _chosen(maps: Sequence[NDFMap], scan: str | None) -> NDFMap:
     return named[0]
 
 
-def _document(target: Path, exemplar: NDFMap, texture: NDFMap, options: Options) -> dict[str, Any]:
+def _document(exemplar: NDFMap, texture: NDFMap) -> dict[str, Any]:
     return {
-        "out": str(target),
         "exemplar": {"name": exemplar.name, "shape": list(exemplar.shape)},
         "shape": list(texture.shape),
         "step": list(texture.step),
-        **options.about(),
         "parameters": {
             name: {"exemplar": _statistics(exemplar, name), "texture": _statistics(texture, name)}
             for name in exemplar.names

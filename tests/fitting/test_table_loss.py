@@ -65,6 +65,16 @@ def test_a_gram_is_made_of_all_cells():
         np.testing.assert_allclose(gram, expected, rtol=1e-12)
 
 
+def test_normals_where_a_density_underflows_are_a_great_loss():
+    """And no reward, for which narrow distributions would be found elsewhere; its derivatives are numbers."""
+    loss, T = TABLE_LOSSES["likelihood"], jnp.array([0.0, 2.0])
+    nothing, much = loss.loss(jnp.zeros(2), T)
+    assert nothing == 0
+    assert much > 2 * 2 * 200  # T log(T/D) of a D of e^-200
+    assert np.isfinite(loss.weight(jnp.zeros(2), T)).all()
+    assert np.isfinite(loss.curvature(jnp.zeros(2), T)).all()
+
+
 def test_a_count_below_nothing_has_no_likelihood():
     assert np.isnan(TABLE_LOSSES["likelihood"].loss(jnp.array([1.0]), jnp.array([-0.5])))[0]
 
