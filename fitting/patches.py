@@ -32,7 +32,8 @@ def fit_ndf_patches(
     The likelihood determines an ellipsoid from counts of normals as well as L2 does from twice as many, and
     takes twice as long (benchmarks/patch_speed.py).
 
-    Raises ValueError as `fit_ndf`. A patch that cannot be fitted is a status: its parameters are NaN.
+    Raises ValueError as `fit_ndf`. A patch that cannot be fitted is a status, its parameters NaN; of an
+    ellipsoid AT_BOUND says that a roughness is beyond the range of its class.
     """
     if isinstance(tables, PatchNDFs):
         tables = tables.tables

@@ -39,8 +39,10 @@ def in_parts(table: TabulatedNDF) -> Iterator[Float[np.ndarray, "B K"]]:
 
 
 def check(model: AbstractNDF, table: TabulatedNDF) -> None:
-    """Raises ValueError for a model or a table with channels."""
+    """Raises ValueError for a model or a table with channels, and for a stack of none."""
     shape = table.values.shape
+    if 0 in shape:
+        raise ValueError(f"a distribution is fitted to one table or more; found values of shape {shape}")
     if channel_count(model) is not None or shape[-1] != shape[-2]:
         raise ValueError(
             "a distribution is fitted to tables (N, N) or (B, N, N), both without channels: fit each channel "

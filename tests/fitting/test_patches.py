@@ -227,6 +227,7 @@ def test_a_stack_is_the_same_in_any_company(clean):
         (ANY, np.ones((2, 5, 5)), {"loss": "l3"}, "l2, likelihood"),
         (Beckmann(jnp.array([0.1, 0.2])), np.ones((2, 5, 5)), {}, "without channels"),
         (ANY, np.ones((5, 5, 2)), {}, "without channels"),
+        (ANY, np.ones((0, 5, 5)), {}, "one table or more"),
         (ANY, np.ones((2, 5, 5)), {"fixed": ("alpha",)}, "names no parameter"),
     ],
 )
