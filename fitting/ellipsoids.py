@@ -12,7 +12,7 @@ ellipsoid in one way: around a start μ_0, G_0⁻¹ = W_0ᵀW_0, with W and W_0 
 so that t is free of units, unbounded, and 0 at the start.
 """
 
-from typing import NamedTuple
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -75,11 +75,16 @@ class Slopes(eqx.Module):
 
 
 class Shared(eqx.Module):
-    """What all tables have in common: the loss, and where the cells are."""
+    """What all tables have in common: the loss, and where the cells are, also as 1, x, y, x², xy and y²."""
 
     loss: TableLoss
-    m_xy: Float[np.ndarray, "2 K"]
     monomials: Monomials
+    moments: Float[np.ndarray, "6 K"]
+
+    @classmethod
+    def of(cls, m: Float[np.ndarray, "K 3"], loss: TableLoss) -> "Shared":
+        x, y, _ = m.T
+        return cls(loss, Monomials.of(m), np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]))
 
 
 class Search(eqx.Module):
@@ -101,7 +106,7 @@ class Search(eqx.Module):
 def fit_ellipsoids(tables: TabulatedNDF, loss: TableLoss) -> FitResult:
     """The ellipsoid of each of a stack of tables; see `fit_ndf_patches`."""
     cells = cells_of(tables)
-    shared = Shared(loss, cells.m.T[:2], Monomials.of(cells.m))
+    shared = Shared.of(cells.m, loss)
     parts = [_search(values, cells, shared) for values in in_parts(tables)]
     found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     outcome = _outcome(found)
@@ -111,10 +116,32 @@ def fit_ellipsoids(tables: TabulatedNDF, loss: TableLoss) -> FitResult:
 def _search(values: Float[np.ndarray, "B K"], cells: Cells, shared: Shared) -> Search:
     start, enough = map_lanes(_start, values, shared, _BLOCK)
     lanes = values, shared.loss.scale(values, cells.area), start
-    t = np.zeros((len(values), 5))
-    end = solve_grams(_gram, t, lanes, shared, block=_BLOCK, steps_a_round=_STEPS, tolerance=_TOLERANCE)
+    end = _minima(lanes, shared)
     slopes, *sums = map_lanes(_at_the_end, (end.t, values, start), shared, _BLOCK)
     return Search(slopes, end, enough, *sums)
+
+
+def _minima(lanes: tuple, shared: Shared) -> LaneSolutions:
+    """First by the expected second derivatives, which are cheaper and mostly lead there, then by true ones.
+
+    Where a patch is far from any ellipsoid the two differ by more than a factor of two, and steps of the
+    expected ones converge slowly or not at all.
+    """
+    solve = partial(solve_grams, block=_BLOCK, steps_a_round=_STEPS, tolerance=_TOLERANCE)
+    end = solve(_expected, np.zeros((len(lanes[0]), 5)), lanes, shared, rounds=1)
+    rest = np.flatnonzero(~end.converged & np.isfinite(end.cost))
+    if not len(rest):
+        return end
+    chosen = jax.tree.map(lambda leaf: leaf[rest], lanes)
+    more = solve(_true, end.t[rest], chosen, shared)
+    more = eqx.tree_at(lambda found: found.steps, more, more.steps + end.steps[rest])
+    return jax.tree.map(partial(_replaced, rest), end, more)
+
+
+def _replaced(rows: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    old = old.copy()
+    old[rows] = new
+    return old
 
 
 def _outcome(found: Search) -> Outcome:
@@ -154,72 +181,91 @@ def _start(values, shared: Shared):
     mean, G = nearest_slopes(shared.monomials, D, jnp.ones_like(D))
     is_one = jnp.isfinite(G[0, 0]) & (G[0, 0] > 0) & (jnp.linalg.det(G) > 0)
     start = Slopes.of(jnp.where(is_one, mean, 0), jnp.where(is_one, G, jnp.eye(2)))
-    return start, is_one & _spread_enough(D > 0, shared)
+    return start, is_one & _spread_enough((D > 0).astype(D.dtype), shared)
 
 
 def _spread_enough(held, shared: Shared):
     """Whether enough cells hold something, and not all in one line of the disk."""
-    x, y = shared.m_xy
-    count = jnp.maximum(jnp.sum(held), 1)
-    x, y = (jnp.where(held, a - jnp.sum(held * a) / count, 0) for a in (x, y))
-    xx, xy, yy = jnp.sum(x * x), jnp.sum(x * y), jnp.sum(y * y)
+    count, *moments = shared.moments @ held
+    x, y, xx, xy, yy = jnp.stack(moments) / jnp.maximum(count, 1)
+    xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
     return (count >= FEWEST) & (xx * yy - xy**2 > _THIN * (xx + yy) ** 2)
 
 
-def _gram(t, args):
-    """Second derivatives by t, the gradient, and twice the value: see `solve_grams`.
+def _expected(t, args):
+    """Expected second derivatives by t, the gradient, and twice the value: see `solve_grams`."""
+    at, J, scale, _ = _derivatives(t, args)
+    return _bordered(J.T @ at.expected @ J, J, at, scale)
 
-    The second derivatives are the true ones: where a patch is far from any ellipsoid they differ from the
-    expected ones, JᵀwJ, by more than a factor of two, and steps of the latter converge slowly or not at all.
-    Where they are not positive, the expected ones stand in.
-    """
+
+def _true(t, args):
+    """The same with the true second derivatives, unless these are not positive."""
+    at, J, scale, quadric = _derivatives(t, args)
+    expected = J.T @ at.expected @ J
+    true = J.T @ at.true @ J + jnp.tensordot(at.slope, jax.hessian(quadric)(t), 1)
+    positive = jnp.all(jnp.isfinite(jnp.linalg.cholesky(true - _LEAST * expected)))
+    return _bordered(jnp.where(positive, true, expected), J, at, scale)
+
+
+def _derivatives(t, args):
+    """Those by q, dq/dt, the table's scale, and q of t."""
     (values, scale, start), shared = args
 
     def quadric(t):
         return start.moved(t).quadric()
 
-    at, J = _Derivatives.of(quadric(t), values, shared), jax.jacfwd(quadric)(t)
-    expected = J.T @ at.expected @ J
-    true = J.T @ at.true @ J + jnp.tensordot(at.slope, jax.hessian(quadric)(t), 1)
-    positive = jnp.all(jnp.isfinite(jnp.linalg.cholesky(true - _LEAST * expected)))
-    gram = scale**2 * bordered(jnp.where(positive, true, expected), J.T @ at.slope, at.loss)
+    return _Derivatives(quadric(t), values, shared), jax.jacfwd(quadric)(t), scale, quadric
+
+
+def _bordered(curvature, J, at, scale):
+    gram = scale**2 * bordered(curvature, J.T @ at.slope, at.loss)
     return gram + _ROUNDING * jnp.diag(jnp.diagonal(gram))
 
 
-class _Derivatives(NamedTuple):
-    """Σ ℓ over the cells, of ½ Σ ℓ the derivatives by q, and D and dD/dq but for its factor φ."""
+class _Derivatives:
+    """At q: D, dD/dq but for its factor φ, and of ½ Σ ℓ over the cells the derivatives by q.
 
-    loss: Float[Array, ""]
-    slope: Float[Array, "6"]
-    expected: Float[Array, "6 6"]
-    true: Float[Array, "6 6"]
-    D: Float[Array, " K"]
-    D_q: Float[Array, " K"]
+    What is not asked for is not made.
+    """
 
-    @classmethod
-    def of(cls, q: Float[Array, "6"], values: Float[Array, " K"], shared: Shared) -> "_Derivatives":
-        loss, sums = shared.loss, shared.monomials.sums_of_products
+    def __init__(self, q: Float[Array, "6"], values: Float[Array, " K"], shared: Shared):
+        self._values, self._shared = values, shared
         root = q @ shared.monomials.each
-        D = 1 / root**2
-        D_q, D_qq = -2 * D / root, 6 * D**2
-        weight = loss.weight(D, values)
-        by_D = weight * difference(D, values)
-        true = sums(loss.curvature(D, values) * D_q**2 + by_D * D_qq)
-        slope, expected = shared.monomials.sums(by_D * D_q), sums(weight * D_q**2)
-        return cls(jnp.sum(loss.loss(D, values)), slope, expected, true, D, D_q)
+        self.D = 1 / root**2
+        self.D_q = -2 * self.D / root
+        self.weight = shared.loss.weight(self.D, values)
+        self._by_D = self.weight * difference(self.D, values)
+
+    @property
+    def loss(self) -> Float[Array, ""]:
+        """Σ ℓ."""
+        return jnp.sum(self._shared.loss.loss(self.D, self._values))
+
+    @property
+    def slope(self) -> Float[Array, "6"]:
+        return self._shared.monomials.sums(self._by_D * self.D_q)
+
+    @property
+    def expected(self) -> Float[Array, "6 6"]:
+        return self._shared.monomials.sums_of_products(self.weight * self.D_q**2)
+
+    @property
+    def true(self) -> Float[Array, "6 6"]:
+        curvature = self._shared.loss.curvature(self.D, self._values)
+        D_qq = 6 * self.D**2
+        return self._shared.monomials.sums_of_products(curvature * self.D_q**2 + self._by_D * D_qq)
 
 
 def _at_the_end(lane, shared: Shared):
     """The ellipsoid at t, and what `Search` has of it."""
     t, values, start = lane
-    J = jax.jacfwd(lambda t: start.moved(t).quadric())(t)
-    at = _Derivatives.of(start.moved(t).quadric(), values, shared)
-    weight = shared.loss.weight(at.D, values)
-    inverse = J @ jnp.linalg.pinv(J.T @ at.expected @ J) @ J.T
-    leverage = weight * at.D_q**2 * shared.monomials.forms(inverse)
+    at, J, _, _ = _derivatives(t, ((values, 1.0, start), shared))
+    gram = at.expected
+    inverse = J @ jnp.linalg.inv(J.T @ gram @ J) @ J.T
+    leverage = at.weight * at.D_q**2 * shared.monomials.forms(inverse)
     residual = difference(at.D, values) / (1 - jnp.minimum(leverage, _LEVERAGE))
-    spread = shared.monomials.sums_of_products((weight * residual * at.D_q) ** 2)
-    return start.moved(t), at.expected, spread, jnp.sum(weight > 0)
+    spread = shared.monomials.sums_of_products((at.weight * residual * at.D_q) ** 2)
+    return start.moved(t), gram, spread, jnp.sum(at.weight > 0)
 
 
 def _covariance(lane, _):

@@ -14,8 +14,6 @@ from jaxbrdf.ndf.base import AbstractNDF, AbstractVisibleNDF, one_each
 from jaxbrdf.ndf.visible_hemisphere import sample_visible_hemisphere
 from jaxbrdf.special import safe_sqrt
 
-_PAIRS = np.triu_indices(6)
-
 
 class Ellipsoid(AbstractVisibleNDF):
     r"""Ellipsoid distribution: Trowbridge–Reitz with anisotropy in any direction, and skew.
@@ -159,19 +157,21 @@ def aligned(ellipsoids: Ellipsoid) -> Ellipsoid:
 
 
 class Monomials(eqx.Module):
-    """φ = (m_x², m_y², m_z², 2 m_y m_z, 2 m_x m_z, 2 m_x m_y) of many normals, and the products of two.
+    """φ = (m_x², m_y², m_z², 2 m_y m_z, 2 m_x m_z, 2 m_x m_y) of many normals, and what products of two are
+    multiples of: the 15 monomials of degree 4.
 
     D^{−1/2} is q·φ for some q, whatever the ellipsoid is.
     """
 
     each: Float[Array, "6 K"]
-    products: Float[Array, "21 K"]
+    quartic: Float[Array, "15 K"]
 
     @classmethod
     def of(cls, m: Float[np.ndarray, "K 3"]) -> "Monomials":
-        x, y, z = jnp.asarray(m).T
-        each = jnp.stack([x * x, y * y, z * z, 2 * y * z, 2 * x * z, 2 * x * y])
-        return cls(each, each[_PAIRS[0]] * each[_PAIRS[1]])
+        powers = [
+            np.prod(m.T ** np.array(exponents)[:, None], axis=0) for exponents in (*_SQUARES, *_QUARTICS)
+        ]
+        return cls(jnp.asarray(_TIMES[:, None] * powers[:6]), jnp.asarray(np.stack(powers[6:])))
 
     def sums(self, weight: Float[Array, " K"]) -> Float[Array, "6"]:
         """Σ weight φ."""
@@ -179,13 +179,19 @@ class Monomials(eqx.Module):
 
     def sums_of_products(self, weight: Float[Array, " K"]) -> Float[Array, "6 6"]:
         """Σ weight φφᵀ: one matrix product for all of a batch of weights."""
-        half = jnp.zeros((6, 6), weight.dtype).at[_PAIRS].set(self.products @ weight)
-        return half + jnp.triu(half, 1).T
+        return jnp.outer(_TIMES, _TIMES) * (self.quartic @ weight)[_WHICH]
 
     def forms(self, P: Float[Array, "6 6"]) -> Float[Array, " K"]:
-        """φᵀPφ of a symmetric matrix."""
-        twice = np.where(_PAIRS[0] == _PAIRS[1], 1, 2)
-        return jnp.asarray(twice * P[_PAIRS]) @ self.products
+        """φᵀPφ."""
+        scaled = np.outer(_TIMES, _TIMES) * P
+        return jnp.zeros(15, P.dtype).at[_WHICH].add(scaled) @ self.quartic
+
+
+# Of φ the exponents of m_x, m_y and m_z and the factors; of φφᵀ which quartic each entry is a multiple of.
+_SQUARES = ((2, 0, 0), (0, 2, 0), (0, 0, 2), (0, 1, 1), (1, 0, 1), (1, 1, 0))
+_TIMES = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+_QUARTICS = sorted({tuple(np.add(a, b).tolist()) for a in _SQUARES for b in _SQUARES})
+_WHICH = np.array([[_QUARTICS.index(tuple(np.add(a, b).tolist())) for a in _SQUARES] for b in _SQUARES])
 
 
 def nearest_slopes(
@@ -201,7 +207,8 @@ def nearest_slopes(
     A = monomials.sums_of_products(weight * held * held * held)
     size = jnp.sqrt(jnp.maximum(jnp.diagonal(A), jnp.finfo(A.dtype).tiny))
     b = monomials.sums(weight * held * held * jnp.sqrt(held)) / size
-    quadric = jnp.linalg.solve(A / jnp.outer(size, size) + 1e-13 * jnp.eye(6), b) / size
+    scaled = A / jnp.outer(size, size) + 1e-13 * jnp.eye(6)
+    quadric = jnp.linalg.solve(scaled, b) / size
     return _slopes_of(quadric, monomials.sums(weight * held / monomials.each[2]))
 
 
