@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from jaxbrdf.special import safe_divide
 
 _NEAR = 1e-3  # |T/D − 1| below which the deviance is its series
+_HARDLY = 0.75  # the power of the smallest number, for T/D to be one
 _SCALE = 10.0  # residuals are scaled to the order of a hundred in all, which damping is made for
 
 
@@ -88,8 +89,11 @@ class Likelihood(TableLoss):
     def residual_and_slope(
         self, D: Float[Array, " K"], T: Float[Array, " K"]
     ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        """r = −sign(e) √(2 D h), h = y log y − e, e = y − 1, y = T/D; h = e²/2 − e³/6 + … near 0."""
-        known = jnp.isfinite(T)
+        """r = −sign(e) √(2 D h), h = y log y − e, e = y − 1, y = T/D; h = e²/2 − e³/6 + … near 0.
+
+        A D that is 0 counts as one that is hardly more: normals where there should be none are a great loss.
+        """
+        known, D = jnp.isfinite(T), jnp.maximum(D, jnp.finfo(D.dtype).tiny ** _HARDLY)
         y = jnp.where(known, safe_divide(T, D), 1)
         e = y - 1
         near = jnp.abs(e) < _NEAR

@@ -69,6 +69,15 @@ def test_the_gradient_is_that_of_weighted_squares():
         )
 
 
+def test_normals_where_a_density_underflows_are_a_great_loss():
+    """And no reward, for which narrow distributions would be found elsewhere; its derivative is a number."""
+    loss, T = TABLE_LOSSES["likelihood"], jnp.array([0.0, 2.0])
+    r, slope = loss.residual_and_slope(jnp.zeros(2), T)
+    assert abs(r[0]) < 1e-100
+    assert -r[1] > np.sqrt(2 * 2 * 500)  # T log(T/D) of a D of e^-500
+    assert np.isfinite(slope).all()
+
+
 def test_a_count_below_nothing_has_no_likelihood():
     assert np.isnan(TABLE_LOSSES["likelihood"].residual(jnp.array([1.0]), jnp.array([-0.5])))[0]
 
