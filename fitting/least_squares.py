@@ -85,7 +85,8 @@ def solve_lanes(
     `start` (L, n); `lanes` is a pytree of arrays with a leading axis L, `shared` one that all lanes read;
     `bounds` are numbers or (n,). Residuals should be of order one and t free of units: damping is λ I and
     starts at λ = 1. A t that steps beyond a bound counts as on it and stays there for the round; where the
-    error then falls inwards, it is set back inside for the next.
+    error then falls inwards, it is set back inside for the next. A lane that a
+    whole round could not move, however short its steps became, is at a minimum to rounding: it has converged.
     """
     limits = steps_a_round, rounds, tolerance
     return solve_grams(_gram_of(residual), start, lanes, shared, bounds, _block_size(len(start)), *limits)
@@ -114,11 +115,12 @@ def solve_grams(
             break
         chosen = (t[open_lanes], _rows(lanes, open_lanes))
         found = map_lanes(_one_round(gram, steps_a_round, tolerance), chosen, (shared, low, high), block)
+        stuck = np.all(found[0] == t[open_lanes], axis=1) & np.isfinite(found[1])
         t[open_lanes], freed = _set_back(found[0], found[4], low, high)
         cost[open_lanes] = found[1]
         steps[open_lanes] += found[2]
-        converged[open_lanes] = found[3]
-        open_lanes = open_lanes[(~found[3] | freed) & np.isfinite(found[1])]
+        converged[open_lanes] = done = found[3] | stuck
+        open_lanes = open_lanes[(~done | freed) & np.isfinite(found[1])]
     return LaneSolutions(np.clip(t, low, high), cost, steps, converged)
 
 
