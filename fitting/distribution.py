@@ -20,7 +20,7 @@ from fitting.least_squares import LaneSolutions, map_lanes, solve_grams
 from fitting.model_space import ModelSpace, model_space
 from fitting.outcome import Outcome, joined, means_nothing, statuses, warn_of_float32
 from fitting.parameters import unit_grid
-from fitting.starts import grid_minima, lowest
+from fitting.starts import grid_minima, lowest, lowest_points
 from fitting.table_loss import TableLoss, difference, table_loss
 from fitting.tables import FEWEST, Cells, cells_of, check, in_parts
 from jaxbrdf.fit_result import FitResult
@@ -29,6 +29,7 @@ from jaxbrdf.ndf.tabulated import TabulatedNDF
 
 _SOME = 16384  # cells at which starts are tried
 _GRID = 256  # shapes to start from
+_OF_MIXTURES = 4  # times as many starts: minima with parts exchanged lie close together on the grid
 _EDGE = 1e-4  # shares of a range nearer than this to its end are on the bound
 
 
@@ -78,9 +79,14 @@ def fit_ndf(
     D) dA, by which the log-likelihood of each normal is below its highest value. `model` is any distribution
     whose parameters have values: these are one start; others are what its class makes of the table
     (`AbstractNDF.guesses`) and up to `starts` minima over a grid of its shapes. Sought are the parameters
-    with a declared range, within it, but for those named in `fixed`. Cells that are NaN do not count. The
-    result has leaves () or (B,); `residuals` are D − T in the cells of the disk, row by row, NaN where the
-    table has none, `cost` is 50 E² / Σ T² dA, or 100 KL; `covariance` is the sandwich estimate. For many
+    with a declared range, within it, but for those named in `fixed`. Cells that are NaN do not count.
+
+    Of a `Mixture` Σ s_i D_i the shares are sought too, all but the last, which is s_K = 1 − s_1 − …: they are
+    "shares[0]", …, and kept by "shares" in `fixed`. Its parts come in no order. Its starts are the 4 `starts`
+    lowest points of the grid, since minima with parts exchanged lie close together there.
+
+    The result has leaves () or (B,); `residuals` are D − T in the cells of the disk, row by row, NaN where
+    the table has none, `cost` is 50 E² / Σ T² dA, or 100 KL; `covariance` is the sandwich estimate. For many
     small tables `fit_ndf_patches` is faster.
 
     Raises ValueError for a model with channels, for a table with channels, an unknown loss, a name in `fixed`
@@ -137,7 +143,11 @@ def _starts(few: Problem, given: np.ndarray, most: int) -> tuple[Int[np.ndarray,
     n, count = len(few.space.shapes), len(few.values)
     grid = unit_grid(_GRID, n)
     errors = np.asarray(_errors(grid, few.shared, few.lanes)).T
-    lane, point = grid_minima(np.where(np.isfinite(errors), errors, np.inf), n, most)
+    errors = np.where(np.isfinite(errors), errors, np.inf)
+    if few.space.leaves_of_shares:
+        lane, point = lowest_points(errors, _OF_MIXTURES * most)
+    else:
+        lane, point = grid_minima(errors, n, most)
     guesses = [_guesses(few, k) for k in range(count)]
     own = np.repeat(np.arange(count), [len(given) + len(guess) for guess in guesses])
     starts = [part for guess in guesses for part in (given, guess)]

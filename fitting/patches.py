@@ -12,6 +12,8 @@ from jaxbrdf.ndf.ellipsoid import Ellipsoid
 from jaxbrdf.ndf.tabulated import TabulatedNDF
 from jaxbrdf.surface.patches import PatchNDFs
 
+_AT_ONCE = 256  # tables, each of which is copied for all of its starts
+
 
 def fit_ndf_patches(
     model: AbstractNDF,
@@ -45,6 +47,6 @@ def fit_ndf_patches(
     cells, minimised = cells_of(tables), table_loss(loss)
     parts = [
         fit_lanes(space, given, cells, values, minimised, starts).without_residuals()
-        for values in in_parts(tables)
+        for values in in_parts(tables, _AT_ONCE)
     ]
     return as_result(model, space, joined(parts), minimised)

@@ -30,6 +30,12 @@ def grid_minima(error: Float[np.ndarray, "L G"], dimensions: int, most: int = 3)
     return np.nonzero(near)[0], lowest[near]
 
 
+def lowest_points(error: Float[np.ndarray, "L G"], most: int):
+    """The lowest of errors over a grid, neighbours or not: lanes (S,) and points (S,), lane by lane."""
+    lowest = np.argsort(error, axis=1, kind="stable")[:, :most]
+    return np.repeat(np.arange(len(error)), lowest.shape[1]), lowest.ravel()
+
+
 class Forms(eqx.Module):
     r"""Quadratic forms of the error ½ Σ w (f − m)², f = f_0 + x·φ: of what the lanes have in common with
     the grid's lobes. Rows and columns are φ, then what has no factor: f_0 − m of the base, f_0 of a lobe."""

@@ -11,7 +11,7 @@ from jaxbrdf.ndf.base import AbstractNDF
 from jaxbrdf.ndf.tabulated import TabulatedNDF, cell_area, disk_cells
 
 FEWEST = 8  # cells that hold something
-_AT_ONCE = 2048  # tables
+_AT_ONCE = 2048  # tables, unless more are made of each
 
 
 class Cells(NamedTuple):
@@ -28,13 +28,13 @@ def cells_of(table: TabulatedNDF) -> Cells:
     return Cells(m.T[m[2] > 0], cell_area(n, table.extent))
 
 
-def in_parts(table: TabulatedNDF) -> Iterator[Float[np.ndarray, "B K"]]:
+def in_parts(table: TabulatedNDF, at_once: int = _AT_ONCE) -> Iterator[Float[np.ndarray, "B K"]]:
     """The values of a stack of tables in the cells of `cells_of`, a part of the stack at a time."""
     n = table.values.shape[-1]
     inside = disk_cells(n, table.extent)[2].ravel() > 0
     stack = np.asarray(table.values).reshape(-1, n * n)
-    for start in range(0, len(stack), _AT_ONCE):
-        part = stack[start : start + _AT_ONCE]
+    for start in range(0, len(stack), at_once):
+        part = stack[start : start + at_once]
         yield part if inside.all() else part[:, inside]
 
 

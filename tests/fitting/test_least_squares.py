@@ -178,3 +178,14 @@ def test_an_unknown_that_is_not_there_leaves_the_gradient_finite():
 
     # x = (a·y) / (a·a) / scale with a·y = 5, a·a = 6.
     assert_allclose(jax.value_and_grad(first)(2.0), (5 / 12, -5 / 24), rtol=1e-12)
+
+
+def test_a_lane_that_cannot_move_from_its_bound_has_converged():
+    """Every step from its start leads outwards, or not below the minimum by more than rounding."""
+    found = solve_lanes(_above_its_bound, np.zeros((2, 1)), np.array([1.0, 2.0]), None, (0, 1))
+    assert_array_equal(found.t, 0)
+    assert found.converged.all()
+
+
+def _above_its_bound(t, args):
+    return jnp.append(t + args[0], 1)
