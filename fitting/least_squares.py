@@ -153,18 +153,22 @@ def _one_round(gram, max_steps, tolerance):
         R = factor(jnp.clip(found.value, low, high), (data, shared))
         cost, gradient = R[:, -1] @ R[:, -1] / 2, R[:, :-1].T @ R[:, -1]
         # Next to a minimum no step may lower the error by more than rounding: it is the next step that tells.
-        near = jnp.all(jnp.abs(_undamped_step(R)) < tolerance)
+        at_low, at_high = found.value <= low, found.value >= high
+        held = (at_low & (gradient > 0)) | (at_high & (gradient < 0))
+        near = jnp.all(jnp.abs(_undamped_step(R, held)) < tolerance)
         done = (found.result == optx.RESULTS.successful) | near
         return found.value, cost, found.stats["num_steps"], done, gradient
 
     return solve
 
 
-def _undamped_step(R):
-    """The step to where Jᵀr = 0, were J constant; 0 for what is on a bound."""
-    triangle = R[:-1, :-1]
-    filled = triangle + jnp.diag(jnp.where(jnp.diagonal(triangle) == 0, 1, 0))
-    return jax.scipy.linalg.solve_triangular(filled, R[:-1, -1])
+def _undamped_step(R, held):
+    """The step to where Jᵀr = 0, were J constant; 0 for what is held."""
+    J = jnp.where(held[None, :], 0, R[:, :-1])
+    size = jnp.sqrt(jnp.sum(J**2, axis=0))
+    scale = jnp.where(size > 0, size, 1)
+    G = (J.T @ J) / jnp.outer(scale, scale) + jnp.diag(jnp.where(size > 0, _SINGULAR, 1))
+    return _solve_small(G, J.T @ R[:, -1] / scale) / scale
 
 
 @lru_cache
