@@ -85,7 +85,8 @@ def solve_lanes(
     `start` (L, n); `lanes` is a pytree of arrays with a leading axis L, `shared` one that all lanes read;
     `bounds` are numbers or (n,). Residuals should be of order one and t free of units: damping is λ I and
     starts at λ = 1. A t that steps beyond a bound counts as on it and stays there for the round; where the
-    error then falls inwards, it is set back inside for the next.
+    error then falls inwards, it is set back inside for the next. A lane has converged where a step, or the
+    next one without damping, is below the tolerance.
     """
     limits = steps_a_round, rounds, tolerance
     return solve_grams(_gram_of(residual), start, lanes, shared, bounds, None, *limits)

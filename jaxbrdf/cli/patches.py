@@ -54,7 +54,7 @@ class Options:
     def about(self) -> dict[str, str | float]:
         """What the file says of how its maps were made."""
         numbers = {"patch": self.size, "stride": self.stride or self.size, "cells": float(self.cells)}
-        sigma = {} if self.sigma is None else {"sigma": self.sigma}
+        sigma = {"sigma": "default" if self.sigma is None else self.sigma}
         return {"loss": self.loss, **numbers, **sigma, **self.treatment.about()}
 
     def tables(self, heightfield: Heightfield) -> PatchNDFs:
@@ -119,7 +119,10 @@ def run(
     task = PatchTask(out, options, files, earlier)
     outcome = batch.run(files, task, Console(stderr=True), chunk=1)
     if outcome.records and not outcome.interrupted:
-        _finish(task, outcome, picture)
+        try:
+            _finish(task, outcome, picture)
+        except (DataError, OSError) as error:
+            raise batch.Refused(str(error)) from error
     _tell(task, outcome, as_json)
     report.say_what_happened(outcome, len(files))
     return outcome.exit_status
@@ -141,13 +144,13 @@ def _earlier(out: Path, options: Options, files: Sequence[Path]) -> dict[Path, N
 
 
 def _finish(task: PatchTask, outcome: batch.Report, picture: bool) -> None:
-    """Names all ellipsoids by the orientation of all, and draws the map of most patches."""
+    """Names all ellipsoids by the orientation of all, and draws the map of most fitted patches."""
     done = [path for path in task.files if path in outcome.records]
     task.maps.update(zip(done, aligned_maps([outcome.records[path] for path in done]), strict=True))
     outcome.records.update(task.maps)
     task.write(task.maps)
-    if picture:
-        path = max(done, key=lambda path: np.prod(task.maps[path].shape))
+    path = max(done, key=lambda path: task.maps[path].success.sum())
+    if picture and task.maps[path].success.any():
         tables = task.options.tables(task.options.treatment.read(path))
         figure = map_pictures.patches(tables, task.maps[path], LOSSES[task.options.loss])
         with replacing(task.out.with_suffix(".png")) as scratch:

@@ -53,7 +53,7 @@ class Ellipsoid(AbstractVisibleNDF):
     ) -> "Ellipsoid":
         """The ellipsoids of mean slopes μ and squared roughnesses G, parameters (...): of the names of each
         that with θ_z within about π/4 of the given one; z is the axis nearest to the normal. NaN where μ or G
-        is."""
+        is, or where G is singular."""
         mean, scatter = np.asarray(mean), np.asarray(scatter)
         known = np.isfinite(mean).all(-1) & np.isfinite(scatter).all((-2, -1))
         mu = np.where(known[..., None], mean, 0)[..., None]
@@ -66,6 +66,7 @@ class Ellipsoid(AbstractVisibleNDF):
             np.arcsin(np.clip(R[..., 0, 2], -1, 1)),
             np.arctan2(-R[..., 0, 1], R[..., 0, 0]),
         )
+        known = known & np.all(alphas > 0, axis=0)
         return cls(*(jnp.asarray(np.where(known, value, np.nan)) for value in (*alphas, *angles)))
 
     @classmethod

@@ -138,6 +138,19 @@ def test_patches_that_do_not_fit_the_scan_are_told(folder):
     assert not (folder / "none.h5").exists()
 
 
+def test_a_scan_without_any_fitted_patch_is_told(tmp_path):
+    """Too flat in one direction: every patch's normals lie in one line."""
+    z = 0.3 * np.random.default_rng(0).standard_normal(60)[None, :] * np.ones((60, 1))
+    write_heightfield(tmp_path / "grooves.h5", Heightfield(z, 0.5, 0.5))
+    flat = run("patches", tmp_path / "grooves.h5", "--size", 10, "--out", tmp_path / "maps.h5")
+    assert flat.exit_code == 0, flat.output
+    assert "–" in flat.stdout
+    assert not (tmp_path / "maps.png").exists()
+    refused = run("texture", tmp_path / "maps.h5", "--shape", 8, 8)
+    assert refused.exit_code == 2
+    assert "two known values" in refused.stderr.replace("\n", " ")
+
+
 def test_a_texture_is_written_told_of_and_drawn(folder, result, tmp_path):
     maps = shutil.copy(folder / "out" / "maps.h5", tmp_path / "maps.h5")
     made = run("texture", maps, "--shape", 24, 40, "--seed", 3)

@@ -71,10 +71,11 @@ def test_no_angles_are_a_trowbridge_reitz(slopes):
 
 
 def test_what_is_unknown_has_no_name():
-    mean, G = np.array([[0.1, 0.0], [np.nan, 0.0]]), np.tile(np.eye(2), (2, 1, 1))
+    mean, G = np.array([[0.1, 0.0], [np.nan, 0.0], [0.1, 0.0]]), np.tile(np.eye(2), (3, 1, 1))
+    G[2] = np.diag([0.04, 0.0])  # no roughness at all along y
     named = jb.Ellipsoid.of_slopes(mean, G)
     assert np.isfinite([leaf[0] for leaf in jax.tree.leaves(named)]).all()
-    assert np.isnan([leaf[1] for leaf in jax.tree.leaves(named)]).all()
+    assert np.isnan([leaf[1:] for leaf in jax.tree.leaves(named)]).all()
 
 
 def test_brushed_patches_are_named_alike():
