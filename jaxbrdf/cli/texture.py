@@ -13,7 +13,7 @@ from rich.table import Table
 
 from data_loaders import DataError, read_ndf_maps, write_ndf_maps
 from data_loaders.files import replacing
-from jaxbrdf import NDFMap, aligned_maps, ndf_texture, ndf_texture_of_strips
+from jaxbrdf import Ellipsoid, NDFMap, aligned_maps, ndf_texture, ndf_texture_of_strips
 from jaxbrdf.cli import batch, map_pictures, numerics, report
 
 
@@ -68,7 +68,7 @@ def run(
         target.parent.mkdir(parents=True, exist_ok=True)
         about = options.about(strips=len(files) == 2)
         write_ndf_maps(target, [texture], files, about)
-        if picture:
+        if picture and isinstance(exemplar.ndf, Ellipsoid):  # as all are that `patches` writes
             with replacing(target.with_suffix(".png")) as scratch:
                 map_pictures.texture(exemplar, texture).savefig(scratch, format="png")
     except (DataError, ValueError, OSError) as error:
