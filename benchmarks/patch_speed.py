@@ -133,7 +133,8 @@ class Problem(NamedTuple):
         slopes = jax.jit(jax.vmap(nearest_slopes, (None, 0, 0)))
         mean, G = slopes(Monomials.of(GRID[INSIDE]), values, np.ones_like(values))
         start = numbers(Ellipsoid.of_slopes(np.asarray(mean), np.asarray(G)))
-        return cls(loss, values, table_loss(loss).scale(values, AREA), start)
+        scale = np.asarray(jax.vmap(table_loss(loss).scale, (0, None))(values, AREA))
+        return cls(loss, values, scale, start)
 
     @property
     def residual(self) -> Callable:

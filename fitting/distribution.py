@@ -113,7 +113,8 @@ def fit_lanes(
     space: ModelSpace, given: np.ndarray, cells: Cells, values: np.ndarray, loss: TableLoss, starts: int
 ) -> Outcome:
     """What came of each of some tables, (B, K)."""
-    problem = Problem(space, loss, *cells, values, loss.scale(values, cells.area)[:, None])
+    scale = np.asarray(jax.vmap(loss.scale, (0, None))(jnp.asarray(values, float), cells.area))
+    problem = Problem(space, loss, *cells, values, scale[:, None])
     found = _minima(problem, given, starts)
     numbers, covariance, residuals = map_lanes(_describe, (found.t, values), problem.shared)
     code = statuses(

@@ -31,9 +31,9 @@ from jaxbrdf.ndf.ellipsoid import Ellipsoid, Monomials, mean_theta_z, nearest_sl
 from jaxbrdf.ndf.tabulated import TabulatedNDF
 
 NAMES = ("alpha_x", "alpha_y", "theta_x", "theta_y", "theta_z")
-_BLOCK = 256  # tables at once: a few of their rows fit into a processor's cache
+_BLOCK = 128  # tables at once: what is made of them on the way fits into a processor's cache
 _ROUNDING = 1e-10  # of the products, which differences of moments about 0 are taken of
-_STEPS = 8  # after which those that go on are gathered
+_STEPS = 5  # after which those that go on are gathered
 _TOLERANCE = 1e-5  # of t
 _LEAST = 0.2  # of the expected curvature: what the true one must exceed to be taken
 _LEVERAGE = 0.9  # a cell that holds nearly all of the table says nothing of its noise
@@ -75,16 +75,19 @@ class Slopes(eqx.Module):
 
 
 class Shared(eqx.Module):
-    """What all tables have in common: the loss, and where the cells are, also as 1, x, y, x², xy and y²."""
+    """What all tables have in common: the loss, where the cells are, also as 1, x, y, x², xy and y², and the
+    area of each."""
 
     loss: TableLoss
     monomials: Monomials
     moments: Float[np.ndarray, "6 K"]
+    area: float
 
     @classmethod
-    def of(cls, m: Float[np.ndarray, "K 3"], loss: TableLoss) -> "Shared":
-        x, y, _ = m.T
-        return cls(loss, Monomials.of(m), np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]))
+    def of(cls, cells: Cells, loss: TableLoss) -> "Shared":
+        x, y, _ = cells.m.T
+        moments = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+        return cls(loss, Monomials.of(cells.m), moments, cells.area)
 
 
 class Search(eqx.Module):
@@ -105,18 +108,16 @@ class Search(eqx.Module):
 
 def fit_ellipsoids(tables: TabulatedNDF, loss: TableLoss) -> FitResult:
     """The ellipsoid of each of a stack of tables; see `fit_ndf_patches`."""
-    cells = cells_of(tables)
-    shared = Shared.of(cells.m, loss)
-    parts = [_search(values, cells, shared) for values in in_parts(tables)]
+    shared = Shared.of(cells_of(tables), loss)
+    parts = [_search(values, shared) for values in in_parts(tables)]
     found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     outcome = _outcome(found)
     return outcome.result(Ellipsoid(*jnp.asarray(outcome.numbers.T)), NAMES, loss.name)
 
 
-def _search(values: Float[np.ndarray, "B K"], cells: Cells, shared: Shared) -> Search:
-    start, enough = map_lanes(_start, values, shared, _BLOCK)
-    lanes = values, shared.loss.scale(values, cells.area), start
-    end = _minima(lanes, shared)
+def _search(values: Float[np.ndarray, "B K"], shared: Shared) -> Search:
+    start, scale, enough = map_lanes(_start, values, shared, _BLOCK)
+    end = _minima((values, scale, start), shared)
     slopes, *sums = map_lanes(_at_the_end, (end.t, values, start), shared, _BLOCK)
     return Search(slopes, end, enough, *sums)
 
@@ -176,12 +177,12 @@ def _beyond_range(numbers: Float[np.ndarray, "B 5"]) -> np.ndarray:
 
 
 def _start(values, shared: Shared):
-    """The nearest ellipsoid in closed form, and whether the table holds enough for one; if not, any."""
+    """The nearest ellipsoid in closed form, the table's scale, and whether the table holds enough for one."""
     D = values.astype(shared.monomials.each.dtype)
     mean, G = nearest_slopes(shared.monomials, D, jnp.ones_like(D))
     is_one = jnp.isfinite(G[0, 0]) & (G[0, 0] > 0) & (jnp.linalg.det(G) > 0)
     start = Slopes.of(jnp.where(is_one, mean, 0), jnp.where(is_one, G, jnp.eye(2)))
-    return start, is_one & _spread_enough((D > 0).astype(D.dtype), shared)
+    return start, shared.loss.scale(D, shared.area), is_one & _spread_enough((D > 0).astype(D.dtype), shared)
 
 
 def _spread_enough(held, shared: Shared):

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 _SCALE = 10.0  # a hundred in all, of what is of order one: damping is made for that
@@ -21,8 +21,8 @@ class TableLoss(eqx.Module, ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def scale(self, T: Float[np.ndarray, "B K"], area: float) -> Float[np.ndarray, " B"]:
-        """w of each table."""
+    def scale(self, T: Float[Array, " K"], area: ArrayLike) -> Float[Array, ""]:
+        """w of a table."""
 
     @abstractmethod
     def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
@@ -62,9 +62,9 @@ class AreaWeighted(TableLoss):
 
     name = "area-weighted L2"
 
-    def scale(self, T: Float[np.ndarray, "B K"], area: float) -> Float[np.ndarray, " B"]:
-        squares = np.nansum(np.square(T, dtype=float), axis=1)
-        return _SCALE / np.sqrt(np.where(squares > 0, squares, 1))
+    def scale(self, T: Float[Array, " K"], area: ArrayLike) -> Float[Array, ""]:
+        squares = jnp.sum(jnp.where(jnp.isfinite(T), T, 0) ** 2)
+        return _SCALE / jnp.sqrt(jnp.where(squares > 0, squares, 1))
 
     def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
         return difference(D, T) ** 2
@@ -87,8 +87,8 @@ class Likelihood(TableLoss):
 
     name = "likelihood"
 
-    def scale(self, T: Float[np.ndarray, "B K"], area: float) -> Float[np.ndarray, " B"]:
-        return np.full(len(T), _SCALE * np.sqrt(area))
+    def scale(self, T: Float[Array, " K"], area: ArrayLike) -> Float[Array, ""]:
+        return _SCALE * jnp.sqrt(jnp.asarray(area, T.dtype))
 
     def loss(self, D: Float[Array, " K"], T: Float[Array, " K"]) -> Float[Array, " K"]:
         known, filled = jnp.isfinite(T), jnp.isfinite(T) & (T != 0)

@@ -15,7 +15,7 @@ T = COUNTS / (N * DA)
 
 
 def minimised(loss, D, T):
-    (scale,) = loss.scale(T[None], DA)
+    scale = float(loss.scale(jnp.asarray(T), DA))
     return 0.5 * scale**2 * float(jnp.sum(loss.loss(jnp.asarray(D), jnp.asarray(T))))
 
 
