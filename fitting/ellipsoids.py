@@ -33,7 +33,8 @@ from jaxbrdf.ndf.tabulated import TabulatedNDF
 NAMES = ("alpha_x", "alpha_y", "theta_x", "theta_y", "theta_z")
 _BLOCK = 128  # tables at once: what is made of them on the way fits into a processor's cache
 _ROUNDING = 1e-10  # of the products, which differences of moments about 0 are taken of
-_STEPS = 5  # after which those that go on are gathered
+_STEPS = 5  # after which those that go on are gathered: most do not
+_MORE = 12  # in a round of those: damping begins anew in each, and must grow to what they need
 _TOLERANCE = 1e-5  # of t
 _LEAST = 0.2  # of the expected curvature: what the true one must exceed to be taken
 _LEVERAGE = 0.9  # a cell that holds nearly all of the table says nothing of its noise
@@ -128,13 +129,14 @@ def _minima(lanes: tuple, shared: Shared) -> LaneSolutions:
     Where a patch is far from any ellipsoid the two differ by more than a factor of two, and steps of the
     expected ones converge slowly or not at all.
     """
-    solve = partial(solve_grams, block=_BLOCK, steps_a_round=_STEPS, tolerance=_TOLERANCE)
-    end = solve(_expected, np.zeros((len(lanes[0]), 5)), lanes, shared, rounds=1)
+    solve = partial(solve_grams, block=_BLOCK, tolerance=_TOLERANCE)
+    t = np.zeros((len(lanes[0]), 5))
+    end = solve(_expected, t, lanes, shared, steps_a_round=_STEPS, rounds=1)
     rest = np.flatnonzero(~end.converged & np.isfinite(end.cost))
     if not len(rest):
         return end
     chosen = jax.tree.map(lambda leaf: leaf[rest], lanes)
-    more = solve(_true, end.t[rest], chosen, shared)
+    more = solve(_true, end.t[rest], chosen, shared, steps_a_round=_MORE)
     more = eqx.tree_at(lambda found: found.steps, more, more.steps + end.steps[rest])
     return jax.tree.map(partial(_replaced, rest), end, more)
 
