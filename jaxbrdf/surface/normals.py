@@ -118,17 +118,17 @@ def slope_cells(
     r: Float[Array, "..."],
     known: Bool[Array, "..."],
     size: int,
-    extent: tuple[float, float] = (1.0, 1.0),
+    extent: tuple[float, float] | Float[Array, "2"] = (1.0, 1.0),
 ) -> Int[Array, "..."]:
     """The cell of the normal of slopes (q, r) in the flattened table of a window of the disk; N² where it is
-    not known, N² + 1 where it is outside the window."""
+    not known, N² + 1 where it is outside the window. One program serves all extents that are arrays."""
     q, r = jnp.where(known, q, 0), jnp.where(known, r, 0)
     scale = size / (2 * jnp.sqrt(1 + q**2 + r**2))
     x, y = (t * scale / half for t, half in zip((q, r), extent, strict=True))
     column, row = (jnp.clip((size / 2 - t).astype(jnp.int32), 0, size - 1) for t in (x, y))
     cell = row * size + column
     for t, half in zip((x, y), extent, strict=True):
-        cell = jnp.where(jnp.abs(t) > size / 2, size * size + 1, cell) if half < 1 else cell
+        cell = jnp.where((jnp.abs(t) > size / 2) & (half < 1), size * size + 1, cell)
     return jnp.where(known, cell, size * size)
 
 

@@ -101,7 +101,7 @@ def patch_ndfs(
     if not known.any():
         raise ValueError("no normal is known: too few heights were measured next to one another")
     window = _window(q[known], r[known]) if extent is None else _checked(extent)
-    cell = np.asarray(slope_cells(*slopes, cells, window))
+    cell = np.asarray(slope_cells(*slopes, cells, jnp.asarray(window, slopes[0].dtype)))
     values, counts = _tables((cell[i, j] for i in y for j in x), len(y) * len(x), cells, window)
     return PatchNDFs(
         TabulatedNDF(jnp.asarray(values), window),
