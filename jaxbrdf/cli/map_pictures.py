@@ -21,8 +21,8 @@ _DRAWN = 512  # texels of a texture that are drawn along each side
 _NARROW = 6  # a map longer than so many times its width is drawn wider than it is
 
 
-def patches(tables: PatchNDFs, item: NDFMap, error: str) -> Figure:
-    """Distributions of some patches with what was fitted to them, and images of all parameters."""
+def patches(tables: PatchNDFs, item: NDFMap, name: str, error: np.ndarray) -> Figure:
+    """Distributions of some patches with what was fitted to them, images of parameters and of an error."""
     figure = Figure(figsize=(16, 6.4), dpi=110, layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1, 1.25), squeeze=False)[:, 0]
     _draw_distributions(above, tables, item)
@@ -30,8 +30,8 @@ def patches(tables: PatchNDFs, item: NDFMap, error: str) -> Figure:
     scales = [_scale(name, [item]) for name in item.names]
     for ax, name, scale in zip(axes, item.names, scales, strict=False):
         _draw_image(ax, item, _in_degrees(name, item), scale, _label(name))
-    cost = np.where(item.success, np.asarray(item.cost) / 100, np.nan)
-    _draw_image(axes[5], item, cost, Normalize(0, _high(cost)), f"{error} of the fit")
+    shown = np.where(item.success, error, np.nan)
+    _draw_image(axes[5], item, shown, Normalize(0, _high(shown)), f"{name} of the fit")
     figure.suptitle(f"{item.name}: {item.success.sum()} of {item.success.size} patches of {_size(item.size)}")
     return figure
 

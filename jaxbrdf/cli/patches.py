@@ -1,9 +1,9 @@
 """`jaxbrdf patches`: ellipsoids fitted to the distribution of normals of every patch of height maps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +27,18 @@ from jaxbrdf import (
 )
 from jaxbrdf.cli import batch, map_pictures, numerics, report, scans
 
-LOSSES = {"likelihood": "KL", "l2": "L2"}  # what --loss knows, and the name of the error that is shown
+
+class Error(NamedTuple):
+    """What is shown of a fit's cost, and its name."""
+
+    name: str
+    of: Callable[[np.ndarray], np.ndarray]
+
+
+LOSSES = {  # what --loss knows; see `fit_ndf` for the costs
+    "likelihood": Error("KL", lambda cost: cost / 100),
+    "l2": Error("relative L2", lambda cost: np.sqrt(cost / 50)),
+}
 
 
 @dataclass(frozen=True)
@@ -152,25 +163,27 @@ def _finish(task: PatchTask, outcome: batch.Report, picture: bool) -> None:
     path = max(done, key=lambda path: task.maps[path].success.sum())
     if picture and task.maps[path].success.any():
         tables = task.options.tables(task.options.treatment.read(path))
-        figure = map_pictures.patches(tables, task.maps[path], LOSSES[task.options.loss])
+        item, error = task.maps[path], LOSSES[task.options.loss]
+        figure = map_pictures.patches(tables, item, error.name, error.of(np.asarray(item.cost)))
         with replacing(task.out.with_suffix(".png")) as scratch:
             figure.savefig(scratch, format="png")
 
 
 def _tell(task: PatchTask, outcome: batch.Report, as_json: bool) -> None:
     found = [(path, outcome.records[path]) for path in task.files if path in outcome.records]
-    documents = [_document(path, item, path in outcome.kept) for path, item in found]
+    error = LOSSES[task.options.loss]
+    documents = [_document(path, item, error, path in outcome.kept) for path, item in found]
     if as_json:
         failed = [{"source": str(path), "error": text} for path, text in outcome.errors.items()]
         about = {"out": str(task.out), **task.options.about()}
         print(report.to_json({**about, "maps": documents, "failed": failed}))
     elif documents:
         console = report.wide_enough(Console())
-        console.print(_table(documents, LOSSES[task.options.loss]))
+        console.print(_table(documents, error.name))
         report.say(console, f"written: {task.out}")
 
 
-def _document(path: Path, item: NDFMap, kept: bool) -> dict[str, Any]:
+def _document(path: Path, item: NDFMap, error: Error, kept: bool) -> dict[str, Any]:
     """A map in numbers: parameters as mean and standard deviation over the fitted patches."""
     ok, status = item.success, np.asarray(item.status)
     images = {name: np.asarray(getattr(item.ndf, name))[ok] for name in item.names}
@@ -188,13 +201,8 @@ def _document(path: Path, item: NDFMap, kept: bool) -> dict[str, Any]:
             name: {"mean": float(np.mean(image)), "std": float(np.std(image))} if ok.any() else None
             for name, image in images.items()
         },
-        "error": float(np.median(_error(item)[ok])) if ok.any() else None,
+        error.name: float(np.median(error.of(np.asarray(item.cost)[ok]))) if ok.any() else None,
     }
-
-
-def _error(item: NDFMap) -> np.ndarray:
-    """KL per normal, or E² as a share of the table's."""
-    return np.asarray(item.cost) / 100
 
 
 def _table(documents: Sequence[dict[str, Any]], error: str) -> Table:
@@ -208,7 +216,7 @@ def _table(documents: Sequence[dict[str, Any]], error: str) -> Table:
         size = " × ".join(f"{length:.4g}" for length in document["size"])
         numbers = [_mean_and_spread(name, value) for name, value in document["parameters"].items()]
         star = "*" if document["kept"] else ""
-        row = (shape, size, str(document["fitted"]), *numbers, report.number(document["error"]))
+        row = (shape, size, str(document["fitted"]), *numbers, report.number(document[error]))
         table.add_row(Text(report.printable(document["name"] + star)), *row)
     return table
 

@@ -74,8 +74,17 @@ def test_json_tells_of_maps_and_failures(result):
     assert a["fitted"] == 20
     assert b["fitted"] + b["statuses"]["too_few_samples"] == 20
     assert a["parameters"]["alpha_y"]["mean"] > 2 * a["parameters"]["alpha_x"]["mean"]
-    assert 0 < a["error"] < 1
+    assert 0 < a["KL"] < 1
     assert "broken.npy" in document["failed"][0]["source"]
+
+
+def test_l2_tells_its_own_error(folder):
+    made = run(
+        "patches", folder / "a.h5", *SIZE, "--loss", "l2", "--json", "--out", folder / "l2" / "maps.h5"
+    )
+    (found,) = json.loads(made.stdout)["maps"]
+    (item,) = read_ndf_maps(folder / "l2" / "maps.h5")
+    assert found["relative L2"] == pytest.approx(np.median(np.sqrt(item.cost / 50)))
 
 
 def test_what_is_finished_is_kept(folder, result, monkeypatch):
