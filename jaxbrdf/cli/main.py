@@ -379,7 +379,7 @@ def patches(
     on.
 
     KL is by how much the log-likelihood of each normal is lower under the fit than under the table itself;
-    the relative L2 error is that of `jaxbrdf ndf`.
+    L2 is the relative error of `jaxbrdf ndf`.
 
     **Examples**
 

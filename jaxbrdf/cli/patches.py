@@ -37,7 +37,7 @@ class Error(NamedTuple):
 
 LOSSES = {  # what --loss knows; see `fit_ndf` for the costs
     "likelihood": Error("KL", lambda cost: cost / 100),
-    "l2": Error("relative L2", lambda cost: np.sqrt(cost / 50)),
+    "l2": Error("L2", lambda cost: np.sqrt(cost / 50)),
 }
 
 
@@ -210,7 +210,7 @@ def _table(documents: Sequence[dict[str, Any]], error: str) -> Table:
     table.add_column("scan", overflow="fold")
     for name in ("patches", "µm", "fitted", "alpha_x", "alpha_y", "theta_x, °", "theta_y, °", "theta_z, °"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column(error, justify="right")
+    table.add_column(error, justify="right", no_wrap=True)
     for document in documents:
         shape = " × ".join(str(n) for n in reversed(document["shape"]))
         size = " × ".join(f"{length:.4g}" for length in document["size"])

@@ -84,7 +84,7 @@ def test_l2_tells_its_own_error(folder):
     )
     (found,) = json.loads(made.stdout)["maps"]
     (item,) = read_ndf_maps(folder / "l2" / "maps.h5")
-    assert found["relative L2"] == pytest.approx(np.median(np.sqrt(item.cost / 50)))
+    assert found["L2"] == pytest.approx(np.median(np.sqrt(item.cost / 50)))
 
 
 def test_what_is_finished_is_kept(folder, result, monkeypatch):
