@@ -239,6 +239,7 @@ def measure(files: Sequence[Path], console: Console) -> Iterator[Row]:
             continue
         yield from rows(name, tables)
         yield from rows(name, patches(surface))
+        jax.clear_caches()  # compiled programs hold memory maps, of which Linux gives a process only so many
 
 
 def write_csv(path: Path, found: Sequence[Row]) -> None:
