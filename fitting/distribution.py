@@ -58,7 +58,9 @@ class Problem(NamedTuple):
         count = len(self.m)
         if count <= _SOME or len(self.values) > 1:
             return self
-        held = np.nan_to_num(self.values[0]) ** 2 + 1e-300  # evenly where nothing is held at all
+        held = (
+            np.nan_to_num(self.values[0]).astype(float) ** 2 + 1e-300
+        )  # evenly where nothing is held at all
         chance = 0.5 / count + 0.5 * held / held.sum()
         rows = np.sort(np.random.default_rng(0).choice(count, _SOME, p=chance / chance.sum()))
         scale = self.scale / np.sqrt(_SOME * chance[rows])[None, :]
@@ -95,12 +97,12 @@ def fit_ndf(
     check(model, table)
     warn_of_float32()
     space, given, _ = model_space(model, fixed)
+    cells, minimised = cells_of(table), table_loss(loss)
     one_by_one = (row[None] for part in in_parts(table) for row in part)
-    found = [fit_lanes(space, given, cells_of(table), row, table_loss(loss), starts) for row in one_by_one]
-    together = joined(found)
+    together = joined([fit_lanes(space, given, cells, row, minimised, starts) for row in one_by_one])
     if table.values.ndim == 2:
         together = Outcome(*[part.reshape(part.shape[1:]) for part in together])
-    return as_result(model, space, together, table_loss(loss))
+    return as_result(model, space, together, minimised)
 
 
 def as_result(model: AbstractNDF, space: ModelSpace, outcome: Outcome, loss: TableLoss) -> FitResult:

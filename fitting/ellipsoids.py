@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from fitting.covariance import sandwich_of
-from fitting.least_squares import LaneSolutions, map_lanes, solve_grams
+from fitting.least_squares import LaneSolutions, map_lanes, solve_grams, with_rows
 from fitting.outcome import Outcome, means_nothing, statuses
 from fitting.table_loss import TableLoss, bordered, difference
 from fitting.tables import FEWEST, Cells, cells_of, in_parts
@@ -138,13 +138,7 @@ def _minima(lanes: tuple, shared: Shared) -> LaneSolutions:
     chosen = jax.tree.map(lambda leaf: leaf[rest], lanes)
     more = solve(_true, end.t[rest], chosen, shared, steps_a_round=_MORE)
     more = eqx.tree_at(lambda found: found.steps, more, more.steps + end.steps[rest])
-    return jax.tree.map(partial(_replaced, rest), end, more)
-
-
-def _replaced(rows: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    old = old.copy()
-    old[rows] = new
-    return old
+    return jax.tree.map(lambda old, new: with_rows(old, rest, new), end, more)
 
 
 def _outcome(found: Search) -> Outcome:

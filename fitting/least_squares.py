@@ -250,3 +250,10 @@ def _rows(lanes, which):
     """Some of the lanes; without copying where they lie side by side."""
     at = slice(which[0], which[-1] + 1) if which[-1] - which[0] + 1 == len(which) else which
     return jax.tree.map(lambda a: np.asarray(a)[at], lanes)
+
+
+def with_rows(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """An array with some of its rows replaced."""
+    array = array.copy()
+    array[rows] = values
+    return array

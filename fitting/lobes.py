@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from fitting.cook_torrance import solve_linear
 from fitting.lanes import LaneFit, Lanes, Shared
-from fitting.least_squares import map_lanes, solve_lanes
+from fitting.least_squares import map_lanes, solve_lanes, with_rows
 from fitting.losses import Loss, spread
 from fitting.parameters import unit_grid
 from fitting.starts import grid_minima, least_errors, lowest, quadratic_forms
@@ -56,7 +56,7 @@ def _refined(fit: LaneFit, lanes: Lanes, shared: Shared) -> LaneFit:
     )
     x = map_lanes(_linear_unknowns, (found.t, *data), shared)
     parts = found.t, x, fit.steps[todo] + found.steps, found.converged, fit.spread[todo]
-    return LaneFit(*[_with_rows(old, todo, new) for old, new in zip(fit, parts, strict=True)])
+    return LaneFit(*[with_rows(old, todo, new) for old, new in zip(fit, parts, strict=True)])
 
 
 def _is_other(lanes: Lanes) -> np.ndarray:
@@ -179,13 +179,7 @@ def _minimised(fit: LaneFit, lanes: Lanes, shared: Shared, tolerance: float = 1e
         u, x = found.t[:, :n], scale * found.t[:, n:]
         steps += found.steps
     parts = u, x, fit.steps[todo] + steps, found.converged, spreads
-    return LaneFit(*[_with_rows(old, todo, new) for old, new in zip(fit, parts, strict=True)])
-
-
-def _with_rows(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    array = array.copy()
-    array[rows] = values
-    return array
+    return LaneFit(*[with_rows(old, todo, new) for old, new in zip(fit, parts, strict=True)])
 
 
 def _scales(lane, shared: Shared):

@@ -162,6 +162,7 @@ def _finish(task: PatchTask, outcome: batch.Report, picture: bool) -> None:
     task.write(task.maps)
     path = max(done, key=lambda path: task.maps[path].success.sum())
     if picture and task.maps[path].success.any():
+        # Made again: the tables of all scans would not fit into the memory.
         tables = task.options.tables(task.options.treatment.read(path))
         item, error = task.maps[path], LOSSES[task.options.loss]
         figure = map_pictures.patches(tables, item, error.name, error.of(np.asarray(item.cost)))

@@ -83,7 +83,7 @@ def test_fixed_parameters_stay():
     assert result.parameters == ("alpha_x", "alpha_y", "theta_z")
 
 
-@pytest.mark.parametrize("value", [0.0, np.nan])
+@pytest.mark.parametrize("value", [0.0, np.nan, np.float32(0)])
 @pytest.mark.parametrize("size", [N, 257], ids=["all cells", "some cells"])
 def test_a_table_of_nothing_is_a_status(value, size):
     result = fit_ndf(Beckmann(0.1), TabulatedNDF(np.full((size, size), value)))
